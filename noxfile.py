@@ -33,8 +33,9 @@ def full(session: nox.Session) -> None:
 
 @nox.session
 def docs(session: nox.Session) -> None:
-    """Check links, commands, keys and tables of the documents."""
+    """Build the documentation site; check links, commands, keys and tables of the documents."""
     install(session)
+    session.run("zensical", "build", "--strict")
     session.run("pytest", "-n", "4", "--dist", "loadfile", "tests/end_to_end/test_docs.py", *session.posargs)
 
 

@@ -35,9 +35,9 @@ class DriveParameters(ABC):
     current_limit_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.0
     """Current at which the supply stops holding its voltage."""
     voltage_cap_v: Annotated[float, Gt(0.0), Le(60.0)] = 12.0
-    """No order beyond this is sent, whoever gives it (at most 60 V: extra-low voltage)."""
+    """Highest voltage that is ever sent (at most 60 V: extra-low voltage)."""
     current_cap_a: Annotated[float, Gt(0.0), Le(100.0)] = 2.0
-    """No limit beyond this is sent, whoever asks for it."""
+    """Highest current limit that is ever sent."""
     readback_tolerance_v: Annotated[float, Gt(0.0), Le(1.0)] = 0.05
     """How far the voltage read back or measured may lie above the one that was set."""
     readback_tolerance_a: Annotated[float, Gt(0.0), Le(1.0)] = 0.02
@@ -56,9 +56,9 @@ class DriveParameters(ABC):
     deviation_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 120.0
     """So long voltage or current may deviate from the command before the alarm `supply_deviation`."""
     off_at_end: bool = True
-    """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
-    leaves it as it is for `watchdog_timeout_s`, as does `false` at the end: the corrosion goes on, and only a
-    person's order would switch it on again."""
+    """Switch the output off when the schedule is done or the test is stopped by a command. A crash or a
+    restart leaves it as it is for `watchdog_timeout_s`. So does `false` at the end, and the corrosion
+    continues. Only a person's command switches it on again."""
     interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
     watchdog_timeout_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0

@@ -13,12 +13,11 @@ def build_clock_condition(reason: str) -> Condition:
     Parameters
     ----------
     reason
-        Why the system's clock is unverified, the start of the message; empty: it is verified, and the
-        condition is not present.
+        Why the system's clock is unverified; empty: it is verified, and the condition is not present.
     """
     return Condition(
         kind=CLOCK_UNVERIFIED,
         priority="high",
         present=bool(reason),
-        message=f"{reason}; the test waits until it is set, or trusted with `solimon trust-clock`",
+        evidence={"reason": reason},
     )

@@ -1,29 +1,32 @@
-"""Evidence of an alarm as sentences for operators, for page, API, report and messages. Pure.
+"""Evidence of an alarm as lines for operators, for page, API, report and notifications. Pure.
 
-The evidence holds the values of the moment when the alarm was raised. That of an older folder may hold fewer
-values; sentences about missing values are left out.
+The evidence holds the values of the set with which the alarm was raised. That of an older folder may hold
+fewer values; lines about missing values are left out.
 """
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
-from string import Formatter
 from types import MappingProxyType
 from typing import Any
 
+from daq_service.alarms.states import (
+    RESPOND_WITHIN_H,
+    TEXTS,
+    Evidence,
+    describe_alarm,
+    fill_text,
+    format_model_probability,
+    format_number,
+)
 from daq_service.catalogue.rows import AlarmRow, BaselineRow
 from daq_service.clock import format_utc
 from hardware_drivers.measurement import SetKey
 
-Evidence = Mapping[str, Any]
-
-_TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-FEATURES: Mapping[str, str] = _TEXTS["features"]
+FEATURES: Mapping[str, str] = TEXTS["features"]
 """Names of the five features of the distance."""
-INCIDENT: Mapping[str, str] = _TEXTS["incident"]
+INCIDENT: Mapping[str, str] = TEXTS["incident"]
 """Names of the two features that do not depend on the wall."""
 MOST_FEATURES = 3
 
@@ -44,15 +47,28 @@ def build_evidence_sentences(
     """
     baseline = baselines.get(row.evidence.get("baseline_id", 0))
     name = None if baseline is None else baseline.name
-    doubts = [] if baseline is None else describe_baseline_anomalies(baseline.baseline_quality)
+    anomalies = [] if baseline is None else describe_baseline_anomalies(baseline.baseline_quality)
     with_set = "" if row.raised_set_key is None else f" with set {row.raised_set_key}"
     extractor = row.evidence.get("extractor_version")
     version = "" if extractor is None else f"; computed by extractor {extractor}"
     return [
         *describe_evidence(row.kind, {**row.evidence, "baseline": name}),
-        *([f"{name}, which the set is compared with, is doubtful: {'; '.join(doubts)}."] if doubts else []),
-        f"Raised{with_set} at hour {row.raised_h:.2f} of the test{version}.",
+        *([f"Questionable baseline {name}: {'; '.join(anomalies)}."] if anomalies else []),
+        f"Raised{with_set} at hour {row.raised_h:.2f}{version}.",
     ]
+
+
+def build_alarm_columns(
+    row: AlarmRow, baselines: Mapping[int, BaselineRow] = MappingProxyType({})
+) -> dict[str, object]:
+    """Return what API and exports add to an alarm's row: headline, action, time to respond, evidence."""
+    texts = describe_alarm(row)
+    return {
+        "headline": texts.headline,
+        "action": texts.action,
+        "response_time_s": 3600.0 * RESPOND_WITHIN_H[row.priority],
+        "evidence_sentences": build_evidence_sentences(row, baselines),
+    }
 
 
 def describe_evidence(kind: str, evidence: Evidence) -> list[str]:
@@ -64,7 +80,7 @@ def describe_evidence(kind: str, evidence: Evidence) -> list[str]:
     return list(_OF_KIND.get(kind, _describe_supply)(evidence))
 
 
-def describe_baseline_anomalies(baseline_quality: Mapping[str, Any] | None) -> list[str]:
+def describe_baseline_anomalies(baseline_quality: Evidence | None) -> list[str]:
     """Describe each anomaly of a baseline (group, outlier or trend of its sets) as a clause.
 
     The list is empty without anomalies, or if the quality (column ``baseline_quality``) is None. An unknown
@@ -72,43 +88,22 @@ def describe_baseline_anomalies(baseline_quality: Mapping[str, Any] | None) -> l
     """
     return [
         {
-            "group": f"sets {', '.join(map(str, anomaly['set_indices']))} lie together, away from the others",
-            "outlier": f"set {anomaly['set_indices'][0]} lies alone, away from the others",
-            "trend": "a trend over the whole of it",
+            "group": f"sets {', '.join(map(str, anomaly['set_indices']))} form a group apart from the others",
+            "outlier": f"set {anomaly['set_indices'][0]} is an outlier",
+            "trend": "a trend over the complete baseline",
         }.get(anomaly["kind"], anomaly["kind"])
         for anomaly in (baseline_quality or {}).get("named", ())
     ]
 
 
-class _Sentences(Formatter):
-    """Fills sentences in; an unknown value raises KeyError, and units are formats."""
-
-    def get_field(self, field_name: str, args: Sequence[object], kwargs: Mapping[str, object]) -> object:
-        """Return the value of a placeholder, with its key; raise KeyError if it is missing or None."""
-        name, *_ = field_name.partition("[")
-        if kwargs.get(name) is None or (found := super().get_field(field_name, args, kwargs))[0] is None:
-            raise KeyError(field_name)
-        return found
-
-    def format_field(self, value: object, format_spec: str) -> str:
-        """Format a number in the unit that the format spec names (`_UNITS`, from SI); else as Python does."""
-        unit = _UNITS.get(format_spec)
-        if unit is not None and isinstance(value, int | float):
-            return unit(value)
-        return str(super().format_field(value, format_spec))
-
-
 def _fill_sentences(part: str, evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a section of the text table `evidence.toml`, filled with evidence values.
+    """Yield the sentences of a section of the text table `texts.toml`, filled with evidence values.
 
     A sentence whose value is missing or None is left out. Raise KeyError for an unknown section.
     """
-    for sentence in _TEXTS["sentences"][part]:
-        try:
-            text = _Sentences().vformat(sentence, (), evidence)
-        except KeyError:
-            continue
-        yield text
+    for sentence in TEXTS["evidence"][part]:
+        if text := fill_text(sentence, evidence):
+            yield text
 
 
 def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
@@ -131,9 +126,16 @@ def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
         f"{names.get(name, name)} {100.0 * change:+.1f} %"
         for name, change in (details.get("changes") or {}).items()
     ]
+    probabilities = [
+        f"{cause.upper()} {format_model_probability(value).removeprefix('model: ')}"
+        for cause, value in (details.get("probabilities") or {}).items()
+    ]
+    rule_is_verified, reason = evidence.get("rate_verified"), evidence.get("rate_not_verified_reason")
     known = {
         **evidence,
         "baseline": evidence.get("baseline") or "the baseline",
+        "probabilities": ", ".join(probabilities) or None,
+        "rate_verified": "verified" if rule_is_verified else f"not verified: {reason or 'reason unknown'}",
         "times_limit": None if statistic is None or limit is None else statistic / limit,
         "shares": _format_largest_contributions(evidence.get("contributions") or {}) or None,
         "limit_words": limit_words,
@@ -144,7 +146,7 @@ def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
     if confirmation := evidence.get("confirmation"):
         yield describe_confirmation(confirmation)
         if confirmation["confirms"] is False and evidence.get("diagnosis") == "wall":
-            yield "The wall is named all the same: its probability counts that set and those planned since."
+            yield "The diagnosis remains WALL: its probability counts that set and the scheduled ones since."
 
 
 def describe_confirmation(confirmation: Evidence) -> str:
@@ -155,16 +157,15 @@ def describe_confirmation(confirmation: Evidence) -> str:
     """
     at = f"{format_utc(confirmation['utc_ns'], 0)} (hour {confirmation['due_h']:.2f})"
     if confirmation["confirms"] is None:
-        return (
-            f"The confirmation set at {at} cannot tell: {confirmation['reason'] or 'a feature is missing'}."
-        )
+        reason = confirmation["reason"] or "a feature is missing"
+        return f"Confirmation set of {at}: no result, {reason}."
     if known := _get_known_values(confirmation, "distance_squared", "limit"):
         distance, limit = known
-        relation = "beyond" if distance > limit else "within"
-        at += f", squared distance {_format_value(distance)}, {relation} the limit of {_format_value(limit)},"
+        relation = "above" if distance > limit else "below"
+        at += f", distance squared {format_number(distance)}, {relation} the limit of {format_number(limit)}"
     if confirmation["confirms"]:
-        return f"Confirmed: the set at {at} lies where the planned sets before it do."
-    return f"Not confirmed: the set at {at} lies nearer to the baseline than to the planned sets before it."
+        return f"Confirmed by the set of {at}: it agrees with the scheduled sets before it."
+    return f"Not confirmed by the set of {at}: it is nearer to the baseline than to the sets before it."
 
 
 def _format_largest_contributions(contributions: Mapping[str, float | None]) -> str:
@@ -189,8 +190,10 @@ def _describe_thickness(evidence: Evidence) -> Iterator[str]:
         wall_m, limit_m = values
         known["difference_m"] = difference_m = abs(limit_m - wall_m)
         known |= {"percent": 100.0 * difference_m / limit_m, "side": "below" if wall_m < limit_m else "above"}
+    low_m, high_m = evidence.get("interval_m") or (None, None)
+    known |= {"low_mm": low_m and 1e3 * low_m, "high_mm": high_m and 1e3 * high_m}
     rms_m = evidence.get("roughness_rms_m")
-    known["roughness"] = "" if rms_m is None else f", its roughness is about {1e6 * rms_m:.0f} µm RMS"
+    known["roughness"] = "" if rms_m is None else f", roughness about {1e6 * rms_m:.0f} µm RMS"
     yield from _fill_sentences("thickness_low", known)
 
 
@@ -208,7 +211,7 @@ def _describe_corrupt_files(evidence: Evidence) -> Iterator[str]:
     for file, fault in (evidence.get("damaged") or {}).items():
         yield f"{file}: {fault}."
     if quarantined := evidence.get("set_aside"):
-        yield f"Set aside, damaged and without rows: {', '.join(quarantined)}."
+        yield f"In quarantine, corrupt and without rows: {', '.join(quarantined)}."
 
 
 def _describe_supply(evidence: Evidence) -> Iterator[str]:
@@ -234,17 +237,3 @@ def _get_known_values(evidence: Evidence, *names: str) -> list[Any]:
     """Return the values of these keys in order; an empty list if one is missing or None."""
     values = [evidence.get(name) for name in names]
     return [] if None in values else values
-
-
-def _format_value(value: float) -> str:
-    """Format a number with three significant digits; from 1000 on (absolute value) as an integer."""
-    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
-
-
-_UNITS: Mapping[str, Callable[[float], str]] = {
-    "number": _format_value,
-    "mm": lambda value_m: f"{1e3 * value_m:.3f} mm",
-    "us": lambda value_s: f"{1e6 * value_s:.3f} µs",
-    "milli": lambda value: f"{1e3 * value:.2f}",
-    "mA": lambda value_a: f"{1e3 * value_a:.2f} mA",
-}

@@ -1,14 +1,15 @@
 """Guidance for each kind of alarm: one table for the page, the API and the how-to.
 
-`docs/how-to/my-alarm-what-now.md` shows `format_guidance_markdown`; a test compares.
+`docs/how-to/respond-to-an-alarm.md` shows `format_guidance_markdown`; a test compares.
 """
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+from daq_service.alarms.states import TEXTS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,46 +21,63 @@ class Guidance:
     meaning, limitations
         What has been found, and what that does not prove.
     checks
-        Likely causes, in the order in which to look.
-    short
-        The same in a sentence or two, for a message.
+        Likely reasons, in the order in which to check them.
+    action
+        What to do; names in braces are those of the alarm.
+    consequence
+        What follows if nobody responds.
     contact
-        Who decides.
+        Responsibility (a key of `alarms.contacts`) of the person to ask.
     """
 
     meaning: str
     limitations: str
     checks: Sequence[str]
-    short: str
+    action: str
+    consequence: str
     contact: str
 
 
 GUIDANCE: Mapping[str, Guidance] = {
-    kind: Guidance(**texts)
-    for kind, texts in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
+    kind: Guidance(**{field.name: texts[field.name] for field in fields(Guidance)})
+    for kind, texts in TEXTS["kinds"].items()
 }
-"""By kind of alarm, the gravest for the wall first."""
+"""By kind of alarm, the most urgent for the wall first."""
+
+
+def name_contact(kind: str, contacts: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the person to ask about a kind of alarm: the configured name, or the responsibility in words.
+
+    Parameters
+    ----------
+    contacts
+        Names by responsibility. A kind without guidance has the responsibility "rig".
+    """
+    guidance = GUIDANCE.get(kind)
+    responsibility = "rig" if guidance is None else guidance.contact
+    return contacts.get(responsibility) or f"the person responsible for the {responsibility}"
 
 
 def join_numbered_steps(steps: Sequence[str]) -> str:
-    """Join steps, numbered from 1, to one text; empty for no steps.
-
-    They are separated by "; ", but only by a space after a question mark.
-    """
-    parts = [f"{number} {step}" for number, step in enumerate(steps, start=1)]
-    return "".join(part + (" " if part.endswith("?") else "; ") for part in parts).rstrip("; ")
+    """Join steps, numbered from 1, to one text; empty for no steps."""
+    return " ".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
 
 
 def format_guidance_markdown() -> str:
     """Return the guidance on all kinds of alarm as a Markdown table, one row per kind, as in `GUIDANCE`."""
-    lines = ["| Kind | It says | It does not say | Look first | Whom to call |", "|---|---|---|---|---|"]
+    lines = [
+        "| Kind | Meaning | Limitations | Checks, in this order | Action | If nobody responds | Contact |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for kind, guidance in GUIDANCE.items():
         cells = (
             f"`{kind}`",
             guidance.meaning,
             guidance.limitations,
             join_numbered_steps(guidance.checks),
-            guidance.contact,
+            guidance.action.replace("{position}", "the position"),
+            guidance.consequence,
+            name_contact(kind),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from daq_service.alarms.states import NOT_SUPPRESSED, Change, Moment, change_state
+from daq_service.alarms.states import NOT_SUPPRESSED, RESPOND_WITHIN_H, Change, Moment, change_state
 from daq_service.catalogue.rows import AlarmRow, AlarmState, Suppression
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -91,6 +91,17 @@ def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change
     """
     current_row = remove_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
     return None if current_row is row else change_state(current_row, row.state, moment, "alarm_shelf_expired")
+
+
+def report_overdue_response(row: AlarmRow, moment: Moment) -> Change | None:
+    """Return the change of an alarm that nobody acknowledged within its time to respond; None before that.
+
+    It comes again after the same time. A suppressed alarm is not reported.
+    """
+    within_ns = RESPOND_WITHIN_H[row.priority] * NS_PER_H
+    if row.state != "unacknowledged" or row.suppressed or moment.utc_ns - row.changed_utc_ns < within_ns:
+        return None
+    return change_state(row, row.state, moment, "alarm_response_overdue")
 
 
 def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:

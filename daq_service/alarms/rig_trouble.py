@@ -29,8 +29,8 @@ def find_connection_loss(missed: Sequence[MissedShot]) -> str:
 def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
     """Return the condition ``instruments_unavailable`` (priority high) after a set.
 
-    It is present if an error ended the set or no instrument responded. The message says whether the next set
-    is tried: after `PASSING` errors, or with ``proven``.
+    It is present if an error ended the set or no instrument responded. Its evidence has whether the recorder
+    stopped: neither after `PASSING` errors nor with ``proven``.
 
     Parameters
     ----------
@@ -42,21 +42,18 @@ def build_rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: b
         These instruments have recorded a complete set before, so the next set is tried after any error.
     """
     error, _, message = trouble.partition(": ")
-    event = "ended early"
     if not trouble and unanswered:
-        error, message, event = ConnectionLostError.__name__, unanswered, "got no answer"
-    outlook = "the next set tries again"
-    if error not in PASSING and not proven:
-        outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
+        error, message = ConnectionLostError.__name__, unanswered
     return Condition(
         kind=RIG_UNAVAILABLE,
         priority="high",
         present=bool(trouble or unanswered),
-        message=f"set {due.set_key} {event}: {message}; {outlook}",
         evidence={
             "set_index": due.set_index,
             "unscheduled_index": due.unscheduled_index,
             "error": error,
+            "error_message": message,
+            "stopped": bool(error) and error not in PASSING and not proven,
         },
     )
 
@@ -70,6 +67,5 @@ def build_opening_condition(trouble: InstrumentError | None) -> Condition:
         kind=RIG_UNAVAILABLE,
         priority="high",
         present=trouble is not None,
-        message=f"the rig cannot be opened: {trouble}; the recorder tries again until it can",
-        evidence={"error": type(trouble).__name__},
+        evidence={"error": type(trouble).__name__, "error_message": str(trouble)},
     )

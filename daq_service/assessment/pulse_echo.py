@@ -173,7 +173,6 @@ class PulseEchoAssessor:
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
         alarm, reference = self.state.alarm, self.state.reference
-        reading_text = "" if remaining_m is None else f" (now {remaining_m * 1e3:.2f} mm)"
         return Condition(
             position=self.position,
             kind="thickness_low",
@@ -183,11 +182,6 @@ class PulseEchoAssessor:
             times_limit=None
             if loss_m is None or self.exceeds_limit(row) is None
             else loss_m / self._limit_loss_m,
-            message=(
-                f"{sum(alarm.recent)} of the last {len(alarm.recent)} readings at "
-                f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
-                f"{reading_text}: inspect the wall"
-            ),
             evidence={
                 "formula": FORMULA,
                 "rule": {"k": self._rule.k, "n": self._rule.n},

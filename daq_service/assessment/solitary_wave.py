@@ -39,7 +39,7 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
-from daq_service.assessment.diagnosis_texts import build_diagnosis_details, format_diagnosis
+from daq_service.assessment.diagnosis_texts import build_diagnosis_details
 from daq_service.assessment.rules import build_rules
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow
 from daq_service.settings.tree import QualitySettings, Settings
@@ -52,7 +52,6 @@ CHART_FORMULA = (
 )
 BY_DIAGNOSIS = "diagnosis"
 """Value of ``raised_by`` if the diagnosis raised the alarm."""
-REMEDY = "wall or transducer has changed; inspect"
 COMMON_EVIDENCE = (
     *("set_index", "distance_squared", "baseline_id"),
     *("diagnosis", "diagnosis_probability", "diagnosis_details"),
@@ -168,7 +167,7 @@ class SolitaryWaveAssessor:
             conditions=[
                 # Shots without a reflected wave are a finding about the wall, not about the transducer.
                 *([] if self.state.hole.sets_running else devices),
-                *build_conditions(self.position, self.state, self.rules, assessments[-1]),
+                build_change_condition(self.position, self.state, self.rules, assessments[-1]),
                 build_no_reflection_condition(
                     self.position, due, self.state, self.rules.hole, set_of_shots.flags
                 ),
@@ -397,11 +396,11 @@ def _build_set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> Fea
 # Conditions of alarms --------------------------------------------------------------------------------
 
 
-def build_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
-    """Return the conditions ``wall_change`` (high) and ``transducer_change`` (medium) after a set.
+def build_change_condition(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> Condition:
+    """Return the condition ``wall_change`` (high) or ``transducer_change`` (medium) after a set.
 
-    At most one is present: a change with a diagnosis other than the wall raises the transducer alarm; an
-    undetermined one raises the wall alarm (`diagnosis.update_origin`).
+    A change with a diagnosis other than the wall raises the transducer alarm; an undetermined one raises the
+    wall alarm (`diagnosis.update_origin`).
 
     Parameters
     ----------
@@ -410,66 +409,30 @@ def build_conditions(position: str, state: State, rules: Rules, assessment: Asse
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
-        present, times_limit, message, evidence = _get_chart_basis(position, design, state, rules, assessment)
+        present, times_limit, evidence = _get_chart_basis(design, state, rules)
     else:
-        present, times_limit, message, evidence = _build_k_of_n_basis(position, state, rules, assessment)
-    if assessment.diagnosis is None:
-        message += REMEDY
-    else:
-        message += format_diagnosis(
-            assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details
-        )
+        present, times_limit, evidence = _build_k_of_n_basis(state, rules, assessment)
     not_wall = state.origin.not_wall
-    wall = Condition(
+    return Condition(
         position=position,
-        kind="wall_change",
-        alarm_class="damage",
-        priority="high",
-        present=present and not not_wall,
+        kind="transducer_change" if not_wall else "wall_change",
+        alarm_class="diagnostic" if not_wall else "damage",
+        priority="medium" if not_wall else "high",
+        present=present,
         times_limit=times_limit,
-        known=WALL if assessment.diagnosis == WALL else "",
-        message=message if present else "",
+        known=WALL if assessment.diagnosis == WALL and not not_wall else "",
         evidence=evidence
         | {name: getattr(assessment, name) for name in COMMON_EVIDENCE}
         | {"extractor_version": EXTRACTOR_VERSION},
     )
-    transducer = replace(
-        wall,
-        kind="transducer_change",
-        known="",
-        alarm_class="diagnostic",
-        priority="medium",
-        present=present and not_wall,
-    )
-    return [wall, transducer]
 
 
-def describe_false_alarm_rate(design: Design, budget: float) -> str:
-    """Describe the design false-alarm rate of a transducer's chart; if it is not verified, add the reason.
-
-    Parameters
-    ----------
-    design
-        Chart parameters of the baseline.
-    budget
-        Design false-alarm rate, false alarms per year.
-    """
-    rate = f"{budget:g} false alarms a year"
-    return (
-        f"{rate}, not promised: {design.rate_not_verified_reason}"
-        if design.rate_not_verified_reason
-        else rate
-    )
+AlarmBasis = tuple[bool, float | None, dict[str, Any]]
+"""Presence of the condition, multiple of the limit, and evidence."""
 
 
-AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
-"""Presence of the condition, multiple of the limit, first part of the message, and evidence."""
-
-
-def _get_chart_basis(
-    position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
-) -> AlarmBasis:
-    """Return presence, multiple of the limit, message and evidence of an alarm that the MEWMA chart decides.
+def _get_chart_basis(design: Design, state: State, rules: Rules) -> AlarmBasis:
+    """Return presence, multiple of the limit and evidence of an alarm that the MEWMA chart decides.
 
     The evidence has statistic, limit, contribution of each feature, design rate, and whether the chart or the
     diagnosis raised it. Raise AssertionError if the state has no chart.
@@ -480,13 +443,6 @@ def _get_chart_basis(
     parts = compute_chart_contributions(average)
     statistic = float(parts.sum())
     budget = rules.false_alarms_per_sensor_year
-    message = (
-        f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
-        f"({describe_false_alarm_rate(design, budget)}): "
-        if memory.alarming
-        else f"the cause of a change at {position} is named, while the chart stands at {statistic:.1f}, "
-        f"below its limit of {limit:.1f}: "
-    )
     evidence = {
         "formula": CHART_FORMULA,
         "rule": {"false_alarms_per_sensor_year": budget},
@@ -498,10 +454,10 @@ def _get_chart_basis(
         "rate_verified": not design.rate_not_verified_reason,
         "rate_not_verified_reason": design.rate_not_verified_reason or None,
     }
-    return is_wall_alarm_active(state, rules), statistic / limit, message, evidence
+    return is_wall_alarm_active(state, rules), statistic / limit, evidence
 
 
-def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
+def _build_k_of_n_basis(state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
     """Return presence, multiple of the limit, message and evidence of an alarm by k outliers of n sets.
 
     The multiple is None if statistic or limit is missing. Raise KeyError for an unknown limit name.
@@ -514,10 +470,6 @@ def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: A
     }
     value = statistics.get(LIMITS[assessment.limit_name].of)
     limit = (assessment.limits or {}).get(assessment.limit_name)
-    message = (
-        f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
-        f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "
-    )
     evidence = {
         "formula": FORMULA,
         "rule": {"k": rule.k, "n": rule.n},
@@ -526,7 +478,7 @@ def _build_k_of_n_basis(position: str, state: State, rules: Rules, assessment: A
         "contributions": assessment.contributions,
     }
     times_limit = None if value is None or limit is None else value / limit
-    return alarm.active, times_limit, message, evidence
+    return alarm.active, times_limit, evidence
 
 
 def build_no_reflection_condition(
@@ -539,7 +491,7 @@ def build_no_reflection_condition(
     Parameters
     ----------
     flags
-        Flags of each accepted shot; those with ``no_psw`` are counted in the message.
+        Flags of each accepted shot; those with ``no_psw`` are counted in the evidence.
     """
     n_without_psw = sum("no_psw" in of_shot for of_shot in flags)
     return Condition(
@@ -549,15 +501,11 @@ def build_no_reflection_condition(
         priority="critical",
         present=state.hole.hole,
         latched=True,
-        message=(
-            f"no reflected wave at {position} in {n_without_psw} of {len(flags)} shots, "
-            f"{rule.consecutive_sets} sets running: the wall has a hole or the chain lost contact; "
-            "the transducer strikes no more"
-        ),
         evidence={
             "rule": {"shots": rule.shots, "consecutive_sets": rule.consecutive_sets},
             "set_index": due.set_index,
             "shots_without_psw": n_without_psw,
+            "shots": len(flags),
             "extractor_version": EXTRACTOR_VERSION,
         },
     )
@@ -574,21 +522,19 @@ def build_transducer_conditions(
     Parameters
     ----------
     reason
-        Why the set's features are bad or suspect, for the message.
+        Why the set's features are bad or suspect, for the evidence.
     """
     poor = state.poor_sets
-    finding = f"{poor} sets running with too few valid shots at {position} (last: {reason})"
-    action = "check coil, striker, sensor and cable"
     few_valid_shots = Condition(
         position=position,
         kind="few_valid_shots",
         priority="medium",
         present=poor >= quality.no_data_sets,
-        message=f"{finding}; {action}",
         evidence={
             "set_index": due.set_index,
             "consecutive_poor_sets": poor,
             "minimum_valid_shots": rules.minimum_valid_shots,
+            "reason": reason,
         },
     )
     disabled = replace(
@@ -597,7 +543,6 @@ def build_transducer_conditions(
         priority="high",
         present=0 < quality.retire_after_sets <= poor,
         latched=True,
-        message=f"{finding}: the transducer strikes no more; {action}, then enable it",
     )
     return [few_valid_shots, disabled]
 
@@ -610,13 +555,12 @@ def build_not_assessed_condition(
     Parameters
     ----------
     reason
-        Why it has none (`SolitaryWaveAssessor.not_assessed_reason`), for the message.
+        Why it has none (`SolitaryWaveAssessor.not_assessed_reason`), for the evidence.
     """
     return Condition(
         position=position,
         kind="not_assessed",
         priority="medium",
         present=state.baseline is not None and state.baseline.fitted is None,
-        message=f"nothing is judged at {position}: {reason}",
-        evidence={"set_index": due.set_index, "baseline_id": baseline_id},
+        evidence={"set_index": due.set_index, "baseline_id": baseline_id, "reason": reason},
     )

@@ -39,9 +39,14 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
         PublishedColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
     ),
     AssessmentRow: (PublishedColumn(name="quality", form="text", unit="", nullable=True),),
-    AlarmRow: (PublishedColumn(name="evidence_sentences", form="nested", unit="", nullable=False),),
+    AlarmRow: (
+        PublishedColumn(name="headline", form="text", unit="", nullable=False),
+        PublishedColumn(name="action", form="text", unit="", nullable=False),
+        PublishedColumn(name="response_time_s", form="number", unit="s", nullable=False),
+        PublishedColumn(name="evidence_sentences", form="nested", unit="", nullable=False),
+    ),
 }
-"""Columns that the service adds: hours and temperatures of a baseline, assessed quality, evidence."""
+"""Columns that the service adds: hours and temperatures of a baseline, assessed quality, alarm texts."""
 
 
 def _build_part(name: str, form: Form = "number") -> PublishedColumn:

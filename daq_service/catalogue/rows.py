@@ -84,9 +84,9 @@ class SetRow(RowOfSet):
     n_missed: Annotated[int, "Strikes that left no record"] = 0
     n_restrikes: Annotated[int, "Strikes repeated by the quality gate"] = 0
     file: Annotated[str | None, "Set file, relative to the data folder; null: none yet"] = None
-    file_sha256: Annotated[str | None, "Of the file, once it is made"] = None
+    file_sha256: Annotated[str | None, "SHA-256 of the file; null: none yet"] = None
     purpose: Annotated[
-        Purpose | None, "`confirmation`: beside the plan, outside chart and baseline; null: planned"
+        Purpose | None, "`confirmation`: unscheduled, outside chart and baseline; null: scheduled"
     ] = None
 
 
@@ -170,7 +170,7 @@ class EnvironmentRow(Row):
     due_h: DueH
     supply_state: Annotated[SupplyState, "Output of the supply"]
     supply_quality: Annotated[ReadingQuality, "Freshness of the supply's reading"]
-    supply_age_s: Annotated[float | None, "Of the newest reading, when the row was written"] = None
+    supply_age_s: Annotated[float | None, "Age of the newest reading when the row was written"] = None
     supply_tripped: Annotated[str | None, "Why the interlock is open; null: it is closed"] = None
     voltage_v: Annotated[float | None, "Mean over the readings since the set before"] = None
     voltage_min_v: Annotated[float | None, "Minimum of these readings"] = None
@@ -179,9 +179,9 @@ class EnvironmentRow(Row):
     current_min_a: Annotated[float | None, "Minimum of these readings"] = None
     current_max_a: Annotated[float | None, "Maximum of these readings"] = None
     charge_coulomb: Annotated[float | None, "Since hour 0, by measured current only"] = None
-    unknown_s: Annotated[float | None, "Since hour 0: time whose current nobody measured"] = None
+    unknown_s: Annotated[float | None, "Time since hour 0 without a measured current"] = None
     climate_quality: Annotated[ReadingQuality, "Freshness of the climate's reading"]
-    climate_age_s: Annotated[float | None, "Of the newest reading, when the row was written"] = None
+    climate_age_s: Annotated[float | None, "Age of the newest reading when the row was written"] = None
     temperature_c: Annotated[float | None, "Air temperature"] = None
     relative_humidity: Annotated[float | None, "0 to 1"] = None
 
@@ -219,7 +219,7 @@ class BaselineRow(Row):
         "How far it can be trusted, and whether the chart keeps its rate",
     ] = None
     state: Annotated[
-        BaselineState, "`collecting`, `proposed` until a person signs, `approved`, or `retired` by a person"
+        BaselineState, "`collecting`, `proposed` until approval, `approved`, or `retired` by a person"
     ] = "approved"
     approved_utc_ns: Annotated[int | None, "Time of approval on the test clock; null: none"] = None
     retired_utc_ns: Annotated[int | None, "Time of retirement on the test clock; null: none"] = None
@@ -253,29 +253,29 @@ class AssessmentRow(RowOfSet):
     mewma_statistic: Annotated[
         float | None, "Statistic of the chart that keeps the budget of false alarms"
     ] = None
-    mewma_alarm: Annotated[bool | None, "Beyond the chart's limit, or not yet back; null: not judged"] = None
+    mewma_alarm: Annotated[bool | None, "Above the chart's limit, or not yet back; null: not assessed"] = None
     statistics: Annotated[
-        dict[str, float] | None, "The other statistics that limits bound, by name; null: not judged"
+        dict[str, float] | None, "The other statistics that limits bound, by name; null: not assessed"
     ] = None
     limits: Annotated[
         dict[str, float] | None, "Every limit by its name (`/info` lists them); null: there is none"
     ] = None
     averages: Annotated[
-        dict[str, list[float]] | None, "Exponentially weighted vector behind each chart; null: not judged"
+        dict[str, list[float]] | None, "Exponentially weighted vector of each chart; null: not assessed"
     ] = None
     diagnosis: Annotated[
         str | None,
-        "`ok`, `wall`, `sensor`, `coupling`, `environment` or `undetermined`; null: not judged",
+        "`ok`, `wall`, `sensor`, `coupling`, `environment` or `undetermined`; null: not assessed",
     ] = None
-    diagnosis_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
+    diagnosis_probability: Annotated[float | None, "Probability of that class, or of the likeliest"] = None
     diagnosis_details: Annotated[
         dict[str, Any] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
     ] = None
     confirms: Annotated[
         bool | None,
-        "Of a confirmation set: it lies where the planned sets before it do, not where the baseline does; "
-        "null: it cannot tell, or the set is a planned one",
+        "A confirmation set agrees with the scheduled sets before it, not with the baseline; "
+        "null: undecided, or a scheduled set",
     ] = None
 
 
@@ -301,7 +301,7 @@ class AlarmRow(Row):
     message: Annotated[str, "Headline, key evidence, action"]
     evidence: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
     suppressed: Annotated[
-        Suppression | None, "A person does not want to be told: `shelved` for a while, or `out_of_service`"
+        Suppression | None, "Suppressed by a person: `shelved` for a while, or `out_of_service`"
     ] = None
     suppressed_by: Annotated[str | None, "Person who shelved it or took it out of service; null: none"] = None
     suppressed_reason: Annotated[str | None, "Reason of the suppression; null: none"] = None

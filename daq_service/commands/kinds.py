@@ -438,8 +438,11 @@ class Disable(TransducerCommand):
             priority="medium",
             present=True,
             latched=True,
-            message=f"disabled by {self.author}: {self.arguments.note or 'no reason given'}",
-            evidence={"command_id": order_id},
+            evidence={
+                "command_id": order_id,
+                "author": self.author,
+                "note": self.arguments.note or "no reason given",
+            },
         )
         change = states.update_alarm(test.alarms.get((position, "transducer_disabled")), condition, moment)
         assert change is not None, "a position that is not disabled has no such active alarm"

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from daq_service.alarms.operator_actions import remove_expired_shelf
-from daq_service.alarms.states import Change, Moment
+from daq_service.alarms.states import AlarmKey, Change, Moment
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock
 
-AlarmKey = tuple[str | None, str]
 Alarms = Mapping[AlarmKey, AlarmRow]
 
 

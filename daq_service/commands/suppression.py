@@ -34,7 +34,7 @@ class OutOfServiceArguments(Strict):
 class ShelfArguments(OutOfServiceArguments):
     """Which alarm, for how long, and why."""
 
-    for_h: float = Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again")
+    for_h: float = Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Duration in hours")
 
 
 class _AlarmOrder(StoredCommand):
@@ -75,7 +75,7 @@ class _AlarmOrder(StoredCommand):
 
 
 class ShelveAlarm(_AlarmOrder):
-    """Be told nothing of an alarm for a while."""
+    """Suppress an alarm for a limited time."""
 
     kind: Literal["shelve_alarm"]
     arguments: ShelfArguments
@@ -90,7 +90,7 @@ class ShelveAlarm(_AlarmOrder):
 
 
 class UnshelveAlarm(_AlarmOrder):
-    """Be told of a shelved alarm again."""
+    """End the shelving of an alarm."""
 
     kind: Literal["unshelve_alarm"]
     arguments: AlarmArguments
@@ -101,7 +101,7 @@ class UnshelveAlarm(_AlarmOrder):
 
 
 class TakeOutOfService(_AlarmOrder):
-    """Be told nothing of an alarm until it is returned to service."""
+    """Suppress an alarm until it is returned to service."""
 
     kind: Literal["take_out_of_service"]
     arguments: OutOfServiceArguments
@@ -115,7 +115,7 @@ class TakeOutOfService(_AlarmOrder):
 
 
 class ReturnToService(_AlarmOrder):
-    """Be told again of an alarm that was out of service."""
+    """Return an alarm to service."""
 
     kind: Literal["return_to_service"]
     arguments: AlarmArguments

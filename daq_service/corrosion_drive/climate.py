@@ -6,7 +6,7 @@ import logging
 from dataclasses import replace
 
 from daq_service.catalogue.rows import EnvironmentRow, ReadingQuality
-from daq_service.corrosion_drive.drive import CONDITIONS
+from daq_service.corrosion_drive.drive import DriveCondition
 from daq_service.corrosion_drive.reading_log import ReadingLog
 from hardware_drivers.drive_parameters import LogParameters
 from hardware_drivers.errors import InstrumentError
@@ -58,16 +58,14 @@ class ClimateLog:
         unchanged_s = (now_ns - self._changed_ns) / NS_PER_S
         return "suspect" if quality == "good" and unchanged_s >= self._parameters.suspect_after_s else quality
 
-    def build_silence_message(self) -> str:
-        """Return the alarm message of a probe without communication: time in s without a reading, last error.
-
-        Empty for any other quality.
-        """
-        if self.quality() != "no_communication":
-            return ""
+    def build_condition(self) -> DriveCondition:
+        """Return the condition of a probe without communication: time in s without a reading, last error."""
         silent_s = self._log.silent_s(self._clock.mono_ns())
-        message = CONDITIONS["climate_not_responding"]["message"]
-        return str(message.format(silent_s=silent_s, read_error=self._log.error))
+        return DriveCondition(
+            name="climate_not_responding",
+            active=self.quality() == "no_communication",
+            values={"silent_s": silent_s, "read_error": self._log.error or None},
+        )
 
     def add_climate_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
         """Return a copy of an environment row with the newest climate reading, its quality and age in s.

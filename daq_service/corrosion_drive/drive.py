@@ -11,13 +11,11 @@ While the connection is lost a switch-off is pending; it follows as soon as the 
 from __future__ import annotations
 
 import logging
-import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
-from daq_service.catalogue.rows import EnvironmentRow, SupplyState, as_dict
+from daq_service.catalogue.rows import EnvironmentRow, Priority, SupplyState, as_dict
 from daq_service.corrosion_drive.charge import Command, DriveState, compute_elapsed_s, integrate_charge
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
 from hardware_drivers.drive_parameters import DriveParameters
@@ -30,18 +28,28 @@ log = logging.getLogger(__name__)
 
 SWITCH_OFF_EVERY_S = 5.0
 """Longest interval between attempts of a pending switch-off, independent of the reading interval."""
-CONDITIONS = tomllib.loads(Path(__file__).with_name("conditions.toml").read_text(encoding="utf-8"))
-"""Priority, and message while active, of each possible alarm."""
-NORMAL = "returned to normal"
+CONDITIONS: Mapping[str, Priority] = {
+    "supply_not_responding": "high",
+    "supply_off_unexpectedly": "medium",
+    "supply_on_unexpectedly": "high",
+    "supply_switch_off_pending": "critical",
+    "supply_current_limit": "medium",
+    "supply_deviation": "medium",
+    "supply_above_cap": "high",
+    "interlock_tripped": "critical",
+    "supply_watchdog_trip": "high",
+    "climate_not_responding": "low",
+}
+"""Priority of each possible alarm of supply and climate probe, in their order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveCondition:
-    """Condition of one possible alarm."""
+    """Condition of one possible alarm, with the values for its texts while it is active."""
 
     name: str
     active: bool
-    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -402,29 +410,30 @@ class SupplyLogger:
     def list_conditions(self) -> tuple[DriveCondition, ...]:
         """Return the condition of each possible alarm of supply and interlock, active or not.
 
-        They are in the order of `CONDITIONS`; the messages of active ones hold the present values.
+        They are in the order of `CONDITIONS`; active ones hold the present values.
         """
         now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
         voltage_v, limit_a = self._find_setpoints()
         measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
-        cause = ""
+        tripped_by = None
         if isinstance(self._supply, ReportsProtections):
             if tripped := self._supply.tripped_protections:
-                cause = f" (tripped: {', '.join(tripped)})"
+                tripped_by = f"protection tripped: {', '.join(tripped)}"
             elif unknown := self._supply.protection_unknown:
-                cause = f" (a protection may have tripped: {unknown})"
+                tripped_by = f"a protection may have tripped: {unknown}"
         deviates_s = 0.0
         if command is not None and reading is not None and self._deviates_since_ns is not None:
             deviates_s = (reading.stamp.mono_ns - self._deviates_since_ns) / NS_PER_S
         values = {
             "silent_s": self._supply_log.silent_s(now_ns),
-            "read_error": self._supply_log.error,
-            "cause": cause,
+            "read_error": self._supply_log.error or None,
+            "tripped_by": tripped_by,
             "measured": measured,
-            "voltage_v": voltage_v,
+            "setpoint": f"{voltage_v:g} V",
             "least_a": self._parameters.minimum_current_a,
             "limit_a": limit_a,
-            "trip_reason": self.tripped or "",
+            "trip_reason": self.tripped,
+            "unverified": self.must_switch_off or None,
         }
         active = dict.fromkeys(self._latched, True) | {
             "supply_not_responding": self._supply_log.quality(now_ns) == "no_communication",
@@ -434,10 +443,10 @@ class SupplyLogger:
             "interlock_tripped": self.tripped is not None,
         }
         return tuple(
-            DriveCondition(name=name, active=True, message=condition["message"].format_map(values))
+            DriveCondition(name=name, active=True, values=values)
             if active.get(name)
-            else DriveCondition(name=name, active=False, message=NORMAL)
-            for name, condition in CONDITIONS.items()
+            else DriveCondition(name=name, active=False)
+            for name in CONDITIONS
             if name.startswith(("supply", "interlock"))
         )
 

@@ -179,7 +179,7 @@ class DriveProcess:
         if action == "switch off":
             log.error("no recorder for %.0f s: switching off", silent_s)
             self._drive.trip(
-                f"no recorder was heard for {silent_s:.0f} s "
+                f"no recorder heartbeat for {silent_s:.0f} s "
                 f"(watchdog_timeout_s = {self._parameters.watchdog_timeout_s:g} s)",
                 kind="supply_watchdog_trip",
             )
@@ -245,7 +245,7 @@ class DriveProcess:
             return
         commanded = self._drive.state.command is not None
         if (commanded or self._drive.find_output_state() != "off") and not self._drive.trip(
-            "the process of the drive was stopped, and no other one watches", kind="supply_watchdog_trip"
+            "the supply process was stopped, no other one supervises the output", kind="supply_watchdog_trip"
         ):
             self.store_state(at_once=True)
             raise RigError("the supply does not answer and may still be on; switch it off by hand")

@@ -21,7 +21,7 @@ from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.corrosion_drive.channel import Connection, Message, connect_to_server
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import CONDITIONS, DriveCondition, Reply, build_absent_row
+from daq_service.corrosion_drive.drive import DriveCondition, Reply, build_absent_row
 from daq_service.corrosion_drive.own_process import hash_supply_settings
 from daq_service.corrosion_drive.supply_state import (
     read_address,
@@ -381,20 +381,22 @@ class RemoteDrive:
         tripped = conditions.get("interlock_tripped")
         if self._tripped is not None and (tripped is None or not tripped.active):
             conditions["interlock_tripped"] = DriveCondition(
-                name="interlock_tripped", active=True, message=self._tripped
+                name="interlock_tripped",
+                active=True,
+                values={"trip_reason": self._tripped, "unverified": True},
             )
         if self._pending is not None or any(request.values["do"] != "energise" for request in self._unsent):
             name = "supply_switch_off_pending"
-            message = CONDITIONS[name]["message"].format(read_error="Its process does not answer")
-            conditions[name] = DriveCondition(name=name, active=True, message=message)
+            conditions[name] = DriveCondition(
+                name=name, active=True, values={"read_error": "Its process does not respond"}
+            )
         missing_s = self._machine.mono_s() - (self._started_s if self._newest is None else self._newest_s)
         is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
         if is_lost or missing_s >= longest_answer_time_s(self._parameters):
             conditions["supply_not_responding"] = DriveCondition(
                 name="supply_not_responding",
                 active=True,
-                message="Supply not responding, output state unknown. Its process has not answered for "
-                f"{missing_s:.0f} s.",
+                values={"silent_s": missing_s, "read_error": "its process does not respond"},
             )
         return tuple(conditions.values())
 

@@ -18,7 +18,6 @@ from daq_service.corrosion_drive.charge import DriveState, restore_drive_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import (
     CONDITIONS,
-    NORMAL,
     DriveCondition,
     Reply,
     SupplyLogger,
@@ -101,11 +100,9 @@ class DriveWatch:
         self._update_alarms(hour)
 
     def _yield_conditions(self) -> Iterator[DriveCondition]:
-        """Yield the conditions of climate probe and supply: name, message, and whether each is active."""
+        """Yield the conditions of climate probe and supply: name, values, and whether each is active."""
         if self._climate is not None:
-            message = self._climate.build_silence_message()
-            active = bool(message)
-            yield DriveCondition(name="climate_not_responding", active=active, message=message or NORMAL)
+            yield self._climate.build_condition()
         yield from () if self._drive is None else self._drive.list_conditions()
 
     def _update_alarms(self, hour: float) -> None:
@@ -121,10 +118,11 @@ class DriveWatch:
                 position=None,
                 kind=drive_condition.name,
                 alarm_class="diagnostic",
-                priority=CONDITIONS[drive_condition.name]["priority"],
+                priority=CONDITIONS[drive_condition.name],
                 present=drive_condition.active,
-                message=drive_condition.message,
-                evidence=self.summarise_readings() if drive_condition.active else {},
+                evidence={**self.summarise_readings(), **drive_condition.values}
+                if drive_condition.active
+                else {},
             )
             self._update_alarm(condition, moment, transaction)
         if transaction.events:
@@ -248,7 +246,7 @@ class DriveWatch:
 def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Restore the supply's state from the newest environment row; return the default state without one.
 
-    The interlock is restored as tripped only by an active alarm ``interlock_tripped``, with its message.
+    The interlock is restored as tripped only by an active alarm ``interlock_tripped``, with its reason.
     """
     state = DriveState()
     row = None if supply is None else catalogue.read_last_environment()
@@ -257,4 +255,5 @@ def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, al
         state = restore_drive_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
     tripped = alarms.get((None, "interlock_tripped"))
     is_active = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
-    return replace(state, tripped=tripped.message if tripped is not None and is_active else None)
+    reason = None if tripped is None else tripped.evidence.get("trip_reason") or tripped.message
+    return replace(state, tripped=reason if is_active else None)

@@ -26,11 +26,12 @@ Usage = Callable[[Path], tuple[int, int]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskSpace:
-    """Free and total bytes of the volume at a moment."""
+    """Free and total bytes of the volume at a moment, and the free bytes below which recording stops."""
 
     free_bytes: int
     total_bytes: int
     level: Level
+    stop_bytes: float = 0.0
 
     @property
     def description(self) -> str:
@@ -57,6 +58,7 @@ def disk_space(
     Fractions refer to the volume, or to ``volume_gb`` if that is smaller. Raises the OSError of ``usage``.
     """
     free, total = usage(folder)
+    limited_bytes = min(total, settings.volume_gb * 1e9)
     limits: dict[Level, float] = {
         "stop": settings.stop_free_fraction,
         "alarm": settings.alarm_free_fraction,
@@ -64,11 +66,13 @@ def disk_space(
     }
     level: Level = "ample"
     for name, fraction in limits.items():
-        limit = fraction * min(total, settings.volume_gb * 1e9)
+        limit = fraction * limited_bytes
         if free < limit * (LEAVES_AT if LEVELS.index(before) >= LEVELS.index(name) else 1.0):
             level = name
             break
-    return DiskSpace(free_bytes=free, total_bytes=total, level=level)
+    return DiskSpace(
+        free_bytes=free, total_bytes=total, level=level, stop_bytes=limits["stop"] * limited_bytes
+    )
 
 
 def refusal(space: DiskSpace, settings: StorageSettings) -> str:
@@ -124,8 +128,7 @@ def forecast_disk(
         1, len(planned_h)
     )
     bytes_per_set = path.stat().st_size + tiles + (folder / FILE_NAME).stat().st_size / max(1, n_done)
-    stop_bytes = storage.stop_free_fraction * min(space.total_bytes, storage.volume_gb * 1e9)
-    n_fitting = int(max(0.0, space.free_bytes - stop_bytes) / bytes_per_set)
+    n_fitting = int(max(0.0, space.free_bytes - space.stop_bytes) / bytes_per_set)
     return replace(
         forecast,
         needed_bytes=round(len(remaining_h) * bytes_per_set),

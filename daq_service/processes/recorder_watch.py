@@ -135,9 +135,7 @@ class RecorderWatch:
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
-            change = update_alarm(
-                rows[-1] if rows else None, build_recorder_condition(finding, fresh.now_h), moment
-            )
+            change = update_alarm(rows[-1] if rows else None, build_recorder_condition(finding), moment)
             if change is None:
                 return
             commit = SetCommit()

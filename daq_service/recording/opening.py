@@ -116,7 +116,7 @@ class OpeningAlarm:
             row, kind = change.row, change.event_kind
             self._report("alarm", change=kind, hour=moment.due_h, priority=row.priority, message=row.message)
         elif condition.present and not self._reported:
-            self._report("waits", reason=condition.message)
+            self._report("waits", reason=condition.build_texts(moment.due_h).message)
         self._reported = condition.present
 
     def _update_stored_alarm(self, condition: Condition, moment: Moment) -> Change | None:

@@ -14,10 +14,18 @@ from analysis.assessment.exact_json import to_json
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
-from daq_service.alarms.operator_actions import end_expired_shelf
+from daq_service.alarms.operator_actions import end_expired_shelf, report_overdue_response
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recorder_condition
 from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, build_rig_condition, find_connection_loss
-from daq_service.alarms.states import Condition, Moment, find_disabled, update_alarm
+from daq_service.alarms.states import (
+    ALARMS_OF_CHANGE,
+    Condition,
+    Moment,
+    find_alarm,
+    find_disabled,
+    index_alarm,
+    update_alarm,
+)
 from daq_service.archive import SetReader, SetRecord, compute_crc32
 from daq_service.assessment.assessor import Assessor, PositionResult
 from daq_service.assessment.methods import METHODS
@@ -189,7 +197,7 @@ class SetAssessor:
         if due.position is not None:
             return transaction
         if self._has_alarm_or_delay(None, RECORDER_NOT_RUNNING):
-            self.apply_alarm(build_recorder_condition("", due.due_h), moment, transaction)
+            self.apply_alarm(build_recorder_condition(""), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(reasons.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():
@@ -226,13 +234,16 @@ class SetAssessor:
         if transaction.events:
             self.commit(transaction)
 
-    def expire_shelves(self, moment: Moment) -> None:
-        """Store and report the end of shelves that expired on the test's clock or in real time.
+    def update_alarms_by_time(self, moment: Moment) -> None:
+        """Store and report expired shelves, and alarms that nobody acknowledged within their time to respond.
 
-        Raises CatalogueError.
+        Shelves end on the test's clock or in real time; the time to respond runs on a wall clock only. Raises
+        CatalogueError.
         """
-        shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
-        changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
+        rows, wall_utc_ns = list(self.alarms.values()), time.time_ns()
+        changes = [change for row in rows if (change := end_expired_shelf(row, moment, wall_utc_ns))]
+        if self._settings.clock.kind == "wall":
+            changes += [change for row in rows if (change := report_overdue_response(row, moment))]
         if changes:
             transaction = SetCommit()
             for change in changes:
@@ -258,14 +269,16 @@ class SetAssessor:
         Nothing is added if the alarm does not change, or its delay is running. A missing reflection trips the
         supply at once. A change is logged as a warning.
         """
-        key = (condition.position, condition.kind)
-        row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
+        # Either alarm of change is the same fault: a delay does not restart with another diagnosis.
+        fault = ALARMS_OF_CHANGE[0] if condition.kind in ALARMS_OF_CHANGE else condition.kind
+        key = (condition.position, fault)
+        row, since_ns = find_alarm(self.alarms, condition), self._delayed_since_ns.get(key)
         to_follow: Condition | None = condition
         now_since_ns, rule = None, self._delays.get(condition.kind)
         if rule is not None:
             to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, rule)
         if now_since_ns != since_ns:
-            delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
+            delay = {"alarm_kind": fault, "since_utc_ns": now_since_ns}
             transaction.events.append(moment.event("alarms", DELAY_EVENT, delay, position=condition.position))
         change = None if to_follow is None else update_alarm(row, to_follow, moment)
         if change is not None:
@@ -275,7 +288,7 @@ class SetAssessor:
                 and change.event_kind == "alarm_raised"
             ):
                 # At once: through a hole the solution reaches what it should not, and the current with it.
-                self.drive.trip(condition.message, moment.due_h)
+                self.drive.trip(condition.build_texts(moment.due_h).headline, moment.due_h)
             transaction.add_alarm(change.row, change.event(moment))
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
@@ -311,7 +324,8 @@ class SetAssessor:
         """
         keys = {row.set_key for row in transaction.sets}
         if transaction is self._uncommitted and keys <= self._catalogue.list_committed_sets(keys):
-            self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
+            for row in self._catalogue.rows(AlarmRow):
+                index_alarm(self.alarms, row)
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
         if keys or (self.assessors.enabled and self._uncommitted is None):
@@ -320,7 +334,7 @@ class SetAssessor:
         committed = self._catalogue.commit_set(transaction)
         self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
-            self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
+            index_alarm(self.alarms, replace(row, id=alarm_id))
 
     def publish(self, transaction: SetCommit) -> None:
         """Update delays and requested sets with a stored transaction, then report its alarms and gaps."""

@@ -54,7 +54,7 @@ class StorageAlarms:
             return
         moment = self._moment()
         with suppress(*PASSING):  # the next look stores it
-            self._set_assessor.update_alarm(build_web_condition(moment.due_h, present=is_missing), moment)
+            self._set_assessor.update_alarm(build_web_condition(present=is_missing), moment)
             self._web_is_missing = is_missing
 
     def start_verification(self) -> None:
@@ -97,7 +97,11 @@ class StorageAlarms:
         log.warning("%s: level %s", space.description, space.level)
         self._persistence.say(DISK_SPACE, asdict(space))
         condition = build_disk_condition(
-            space.description, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
+            space.free_bytes,
+            space.total_bytes,
+            space.stop_bytes,
+            present=space.level in ("alarm", "stop"),
+            stops=space.level == "stop",
         )
         self._store_alarm(condition)
 

@@ -57,7 +57,7 @@ class Waiting:
         for task in self._resources.tasks:  # none that can wait, while the disk takes nothing
             task.run_for(seconds if self._persistence.trouble is None else 0.0)
         self.storage.report()
-        self._persistence.attempt(partial(self._set_assessor.expire_shelves, self._resources.moment()))
+        self._persistence.attempt(partial(self._set_assessor.update_alarms_by_time, self._resources.moment()))
         return self.activity.run_between_shots()
 
     def wait_until_stored(self) -> None:

@@ -23,6 +23,8 @@ alarm (a transducer disabled, an interlock tripped, files named), or nobody migh
 stopped, the disk does not take the event, the clock itself is doubted)."""
 DEAD_BAND_KINDS = ("wall_change", "transducer_change", "thickness_low")
 """Kinds that compare a measured quantity with a limit and have no dead-band of their own."""
+CONTACTS = ("wall", "rig", "computer", "cell")
+"""Responsibilities of the persons that the guidance for alarms names."""
 
 
 class AlarmKindSettings(BaseModel):

@@ -30,7 +30,7 @@ class InstrumentSettings(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
 
     kind: str = Field(min_length=1, max_length=100)
-    """What it is: `daqmx`, `niscope`, or a name that an installed package offers."""
+    """Kind: `daqmx`, `niscope`, or a name that an installed package offers."""
 
     @property
     def parameters(self) -> Tables:
@@ -73,7 +73,7 @@ class MixedRig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     instruments: dict[str, InstrumentSettings] = Field(default_factory=dict)
-    """Instruments of a `mixed` rig by a name of your own; each is opened once, whatever it serves."""
+    """Instruments of a `mixed` rig by a name of your own; each is opened once."""
     positions: dict[str, PlaceSettings] = Field(default_factory=dict)
     """Which instruments serve each position of a `mixed` rig."""
     drive: NamedSupply | None = None

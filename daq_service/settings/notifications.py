@@ -53,7 +53,7 @@ class _Table(BaseModel):
 
 
 class ReceiverSettings(_Table):
-    """Who is told."""
+    """Receiver of notifications."""
 
     kind: Literal["webhook", "apprise"] = "webhook"
     """`webhook`: a signed POST of JSON; `apprise`: e-mail, chat and others, by the extra `notify`."""
@@ -70,10 +70,10 @@ class ReceiverSettings(_Table):
     secret_env: str = ""
     """Variable of the environment that holds the secret."""
     plain_http: bool = False
-    """Allows http:// to another computer: what is told travels unencrypted."""
+    """Allows http:// to another computer: messages travel unencrypted."""
     heartbeat_s: float | None = Field(default=None, ge=10.0, le=86_400.0)
     """Interval of heartbeat messages with the recorder's state and the age of the last set; absent: none. For
-    e-mail and chat at least 3600 s. None is sent while no recorder answers: whoever misses it must act."""
+    e-mail and chat at least 3600 s. None is sent while no recorder responds: act when it is missing."""
 
     @model_validator(mode="after")
     def _check_required_keys(self) -> Self:
@@ -120,22 +120,22 @@ class ReceiverSettings(_Table):
 
 
 class RuleSettings(_Table):
-    """Which alarms are told to whom; the first rule that fits an alarm and a receiver counts."""
+    """Alarms for some receivers; the first rule that fits an alarm and a receiver counts."""
 
     receivers: tuple[Name, ...] = ()
     """Their names; empty: all."""
     priority: Priority = "medium"
-    """The lowest that is told."""
+    """Lowest priority that is sent."""
     positions: tuple[str, ...] = ()
     """Alarms of these positions; empty: of all, and those of the rig, the disk and the clock."""
     kinds: tuple[str, ...] = ()
-    """Kinds of alarm, for example wall_change; empty: all (docs/how-to/my-alarm-what-now.md lists them)."""
+    """Kinds of alarm, for example wall_change; empty: all (docs/how-to/respond-to-an-alarm.md lists them)."""
     delay_s: float = Field(default=0.0, ge=0.0, le=3600.0)
-    """An alarm that is over again within this time is not told."""
+    """An alarm that returns to normal within this time is not sent."""
     group_s: float = Field(default=10.0, ge=0.0, le=3600.0)
-    """What comes within this time goes out as one message."""
+    """Alarms within this time are sent as one message."""
     returned: bool = True
-    """Tell, too, when an alarm is over."""
+    """Also notify when an alarm returns to normal."""
 
     @model_validator(mode="before")
     @classmethod
@@ -160,7 +160,7 @@ class NotificationSettings(_Table):
     rules: tuple[RuleSettings, ...] = Field(default=(RuleSettings(),), min_length=1, max_length=100)
     """Absent: every alarm of priority medium or more to all receivers."""
     give_up_h: float = Field(default=24.0, gt=0.0, le=720.0)
-    """What could not be delivered for so long is given up, which the log of deliveries tells."""
+    """Time after which an undelivered message is given up; the delivery log records it."""
 
     @model_validator(mode="after")
     def _require_known_receivers(self) -> Self:

@@ -24,8 +24,8 @@ class RigSettings(MixedRig):
     read_timeout_s: float = Field(default=5.0, gt=0.0, le=600.0)
     """Longest wait for a record."""
     stall_timeout_s: float = Field(default=120.0, ge=2.0, le=3600.0)
-    """Beyond `read_timeout_s` nothing may stand still for longer: a driver's call that hangs, a board's
-    self-calibration, storing a set on a slow disk. Then the supervisor restarts the recorder."""
+    """Longest stall on top of `read_timeout_s`: a driver's call that hangs, a board's self-calibration, a
+    slow disk. After it the supervisor restarts the recorder."""
     on_doubles: bool = False
     """The boards are doubles with the twin behind them (`solimon demo --rig`), not a real rig; only then may
     a `daqmx` rig run on the simulated clock."""

@@ -20,7 +20,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
-from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS, AlarmKindSettings
+from daq_service.settings.alarm_delays import CONTACTS, EARLIER_ALARM_KINDS, AlarmKindSettings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tables import Tables
@@ -78,7 +78,7 @@ class ClockSettings(Section):
     pace_h_per_s: float | None = Field(default=None, gt=0.0, le=1e4)
     """Hours of experiment a second on the simulated clock; absent: as fast as it goes."""
     doubt_after_h: float = Field(default=72.0, gt=0.0, le=1e4)
-    """After a reboot a wall clock that nobody synchronises is doubted so long after what was stored last."""
+    """Time after the last stored set at which an unsynchronized clock is unverified after a reboot."""
 
     @property
     def is_paced(self) -> bool:
@@ -136,7 +136,7 @@ class PositionSettings(Section):
     method: Method
     """`solitary_wave`: a chain with striker and sensor; `pulse_echo`: an ultrasonic probe."""
     label: str = ""
-    """What people call the place."""
+    """Name of the position for people."""
     serial_number: str = ""
     """Serial number of the transducer or probe."""
     chain: ChainParameters = ChainParameters()
@@ -182,30 +182,30 @@ class FeatureSettings(Section):
 
 
 class QualitySettings(Section):
-    """What happens to a poor shot, and to a transducer that gives nothing else."""
+    """Treatment of poor shots, and of a transducer that gives nothing else."""
 
     restrike_flags: tuple[RestrikeFlag, ...] = RESTRIKE_FLAGS
-    """Flags of a shot that is struck once more; both records are stored, the better one counts."""
+    """Flags of a shot that is repeated once; both records are stored, the better one counts."""
     restrikes_per_set: int = Field(default=RestrikeRule().restrikes_per_set, ge=0, le=1000)
     """Repetitions of each transducer in a set; 0: none."""
     no_data_sets: int = Field(default=2, ge=1, le=1000)
-    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `few_valid_shots`."""
+    """Consecutive sets below `baseline.minimum_valid_shots` that raise `few_valid_shots`."""
     retire_after_sets: int = Field(default=10, ge=0, le=100_000)
     """Consecutive such sets after which the transducer is disabled until `solimon enable`; 0: never."""
 
 
 class BaselineSettings(Section):
-    """What counts as healthy."""
+    """Sets of the initial state, with which later sets are compared."""
 
     hours: float = Field(default=24.0, gt=0.0, le=1e6)
     """Sets due up to this hour are the baseline (paper: the first 24 h)."""
     minimum_sets: int = Field(default=MINIMUM_SETS, ge=7, le=100_000)
     """Fewer valid sets give no limit, with the reason."""
     minimum_valid_shots: int = Field(default=MINIMUM_VALID_SHOTS, ge=1, le=1000)
-    """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
+    """Valid shots that a set needs for a feature (of `schedule.shots_per_set`)."""
     approval: Literal["automatic", "by_a_person"] = "automatic"
-    """`automatic`: nobody signs the baseline, and the page says so; `by_a_person`: it is proposed until
-    somebody does (`solimon approve-baseline`). It judges from its last set on, signed or not."""
+    """`automatic`: the baseline needs no approval, and the page shows that; `by_a_person`: it is proposed
+    until `solimon approve-baseline`. Either way it is used from its last set on."""
 
 
 class NoveltySettings(Section):
@@ -234,15 +234,15 @@ class AlarmSettings(Section):
     """When an outlier becomes an alarm."""
 
     decides_by: Literal["chart", "k_of_n"] = "chart"
-    """What raises `wall_change`: the chart that keeps the budget, or `k` outliers of `n` sets."""
+    """Rule that raises `wall_change`: the control chart, or `k` outliers of `n` sets."""
     false_alarms_per_sensor_year: float = Field(default=0.2, gt=0.0, le=365.0)
-    """Budget of the chart: what a healthy sensor may raise, on average (0.2: one in five years)."""
+    """Design false-alarm rate of the chart for each transducer (0.2: one alarm in five years)."""
     false_alarms_per_year: float | None = Field(default=None, gt=0.0, le=3650.0)
-    """Budget of all transducers together, which share it evenly; absent: each has its own."""
+    """The same for all transducers together, in equal shares; absent: each has its own."""
     k: int = Field(default=AlarmRule().k, ge=1, le=100)
-    """Outliers among the last `n` judged sets that raise the alarm."""
+    """Outliers among the last `n` assessed sets that raise the alarm."""
     n: int = Field(default=AlarmRule().n, ge=1, le=100)
-    """Judged sets looked at."""
+    """Assessed sets that the rule considers."""
     hole_shots: int = Field(default=HoleRule().shots, ge=1, le=1000)
     """Shots of a set without a reflected wave that point at a hole."""
     hole_sets: int = Field(default=HoleRule().consecutive_sets, ge=1, le=100)
@@ -250,9 +250,11 @@ class AlarmSettings(Section):
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
     confirmation_sets_a_day: int = Field(default=2, ge=0, le=24)
-    """Sets beside the plan that suspicion may ask for at a transducer within 24 h of the test; 0: none."""
+    """Confirmation sets that solimon may request at a transducer within 24 h of the test; 0: none."""
+    contacts: dict[str, str] = Field(default_factory=dict)
+    """Person to ask, with telephone number, by responsibility: `wall`, `rig`, `computer`, `cell`."""
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
-    """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
+    """Delays and deadband by kind of alarm; other kinds follow their condition at once."""
 
     @field_validator("kinds", mode="before")
     @classmethod
@@ -261,6 +263,14 @@ class AlarmSettings(Section):
         if not isinstance(kinds, Mapping):
             return kinds
         return {EARLIER_ALARM_KINDS.get(kind, kind): rule for kind, rule in kinds.items()}
+
+    @field_validator("contacts")
+    @classmethod
+    def _check_contacts(cls, contacts: dict[str, str]) -> dict[str, str]:
+        """Return the table; raise ValueError for a responsibility that no guidance names."""
+        if unknown := sorted(set(contacts) - set(CONTACTS)):
+            raise ValueError(f"{', '.join(unknown)} is none of {', '.join(CONTACTS)}")
+        return contacts
 
     @field_validator("kinds")
     @classmethod
@@ -291,11 +301,11 @@ class StorageSettings(Section):
     warn_free_fraction: float = Field(default=0.20, ge=0.0, le=0.9)
     """Free part of the volume below which an event warns."""
     alarm_free_fraction: float = Field(default=0.10, ge=0.0, le=0.9)
-    """Free part below which the alarm `disk_space` stands."""
+    """Free fraction below which the alarm `disk_space` is active."""
     stop_free_fraction: float = Field(default=0.05, ge=0.0, le=0.9)
-    """Free part below which nothing more is stored; the test goes on by itself when space is freed."""
+    """Free fraction below which storage stops; the test continues by itself when space is freed."""
     volume_gb: float = Field(default=1000.0, gt=0.0, le=1e9)
-    """Of a larger volume the parts are those of one of this size: 5 % of 10 TB would be far too much."""
+    """Largest size that these fractions refer to: 5 % of a volume of 10 TB would be far too much."""
 
     @model_validator(mode="before")
     @classmethod
@@ -490,6 +500,7 @@ class Settings(BaseSettings):
             if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
+        del values["alarms"]["contacts"]  # a telephone number affects no data
         if self.alarms.false_alarms_per_year is None:
             del values["alarms"]["false_alarms_per_year"]
         for key in ("holdoff_s", "watchdogs"):

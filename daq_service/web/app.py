@@ -21,6 +21,7 @@ from daq_service.web.answers.models import build_problem_schemas, describe_error
 from daq_service.web.answers.version import API_VERSION
 from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, find_app_context
+from daq_service.web.documentation import Documentation
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import health, metrics, page
@@ -59,6 +60,7 @@ class Service(FastAPI):
             generate_unique_id_function=lambda route: route.name,  # the function, as in the table of roles
         )
         problem.install_error_handlers(self)
+        self.mount("/docs", Documentation())
 
     def openapi(self) -> OpenApi:
         """Return the OpenAPI 3.1 description of the interface, with roles, units and examples.
@@ -98,8 +100,8 @@ def create_app_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
         "solimon",
         (
             "State, history and live stream of a test with highly nonlinear solitary waves. Values are "
-            "SI with the unit in the name; `null` is not available; times are RFC 3339 UTC beside hours "
-            "of the experiment; ranges are half-open; errors are problem details (RFC 9457)."
+            "SI with the unit in the name; `null` is not available. Times are RFC 3339 UTC next to hours "
+            "of the test; ranges are half-open. Errors are problem details (RFC 9457)."
         ),
         lifespan,
     )

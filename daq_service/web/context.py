@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
-from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.evidence import build_alarm_columns
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
@@ -234,12 +234,12 @@ class Freshness(freshness.Freshness):
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
         """Convert a row of the catalogue for an answer: RFC 3339 times, and its age in h if it has an hour.
 
-        ``extra_columns`` are added. An alarm also gets its evidence as sentences (StorageError if the
+        ``extra_columns`` are added. An alarm also gets its texts (`build_alarm_columns`; StorageError if the
         baselines cannot be read), and an expired shelf is removed.
         """
         if isinstance(row, AlarmRow):
             row = self.expire_shelf(row)
-            extra_columns |= {"evidence_sentences": build_evidence_sentences(row, self._baselines)}
+            extra_columns |= build_alarm_columns(row, self._baselines)
         answer = add_utc({**as_dict(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer | {"age_h": self.age_h(dated_h)} if isinstance(dated_h, int | float) else answer

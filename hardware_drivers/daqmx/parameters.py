@@ -155,10 +155,10 @@ class DaqmxParameters:
     grpc_address: str = ""
     """`host:port` of that server; only with `grpc`."""
     grpc_client_name: str = ""
-    """Name under which this rig's tasks are kept on the server, so that those a killed recorder left are
-    found and cleared, never another client's; empty: the name of this computer."""
+    """Name of this rig's tasks on the server. A restarted recorder clears its own leftover tasks by it, never
+    another client's; empty: the name of this computer."""
     grpc_tls: GrpcTls | None = None
-    """Encryption; absent: none, for a network that nobody else is on."""
+    """Encryption; absent: none, for a private network only."""
     call_timeout_s: Annotated[float, Ge(0.05), Le(120.0)] = 10.0
     """Longest wait for an answer of the gRPC server to a call that does not itself wait; a self-calibration
     may take ten times as long. Without `grpc` nothing can end a hung call but the recorder's supervisor."""
@@ -174,7 +174,7 @@ class DaqmxParameters:
     """Direction in which the level is passed."""
     pulse_s: Annotated[float, Ge(1e-3), Le(LONGEST_PULSE_S)] = 0.1
     """Time the coil is on: it lifts the striker, which falls when it goes off. The board's counter times it,
-    so it ends whatever happens to this program. At most 0.5 s."""
+    so it ends in any case. At most 0.5 s."""
     drop_height_m: Annotated[float, Gt(0.0), Le(1.0)] = 5e-3
     """Height the striker falls from (paper: 5 mm): the wave comes sqrt(2 h / g) after the pulse."""
     fall_margin_s: Annotated[float, Ge(0.0), Le(5.0)] = 0.1

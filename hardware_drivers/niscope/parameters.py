@@ -23,7 +23,7 @@ class ProbeWiring:
     resource: str
     """Name of the board in NI MAX or `nilsdev`, for example `PXI1Slot4`."""
     serial_number: str = ""
-    """Serial number the board must report; empty: whatever board answers to `resource`."""
+    """Serial number the board must report; empty: any board at `resource`."""
     other_resources: tuple[str, ...] = ()
     """Names under which a replugged board may come back; needs `serial_number`. No other board is touched."""
     channel: str = "0"
@@ -76,7 +76,7 @@ class NiscopeParameters:
     averages: Annotated[int, Ge(1), Le(32_768)] = 16
     """Records of one acquisition, summed in whole counts: noise falls with the square root."""
     call_timeout_s: Annotated[float, Gt(0.0), Le(600.0)] = 5.0
-    """Longest wait for the pulser's triggers, whatever the caller allows."""
+    """Longest wait for the pulser's triggers."""
 
     def __post_init__(self) -> None:
         """Copy the probes; raise ValueError without a probe, or if probes cannot share their board."""

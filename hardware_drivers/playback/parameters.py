@@ -73,9 +73,9 @@ class TdmsMapping:
     settings_properties: Mapping[str, str] = field(default_factory=dict)
     """Property to the name it is stored under with the shot, for example `{ Serial = "board_serial" }`."""
     sample_rate_hz: Annotated[float, Gt(0.0), Le(1e12)] | None = None
-    """Sample rate of every record, whatever its file says; absent: as the file says."""
+    """Sample rate of every record; absent: that of its file."""
     pretrigger_samples: Annotated[int, Ge(0)] | None = None
-    """Samples before the trigger, whatever the file says; absent: from the start offset."""
+    """Samples before the trigger; absent: from the start offset of the file."""
     coefficients_v: tuple[float, ...] = ()
     """Volts as a polynomial of the raw values, constant first; empty: the NI scaling of the file."""
     volts_per_unit: float | None = None

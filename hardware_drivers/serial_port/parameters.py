@@ -110,15 +110,15 @@ class SupplyParameters(DriveParameters):
     """Output of a supply with several (`aim_tti`, `rigol`); `scpi` chooses it by `setup_commands`."""
     protection_queries: tuple[str, ...] | None = None
     """Ask whether a protection has tripped (answer 0 or 1); absent: what the dialect asks; empty: nothing is
-    asked, and the protection is told as unknown. A question that the supply reports as undefined is, too."""
+    asked, and the protection counts as unknown. A question that the supply reports as undefined is, too."""
     over_voltage_v: Annotated[float, Gt(0.0), Le(66.0)] | None = None
     """Level of the supply's over-voltage protection: set and read back before the output goes on. Absent:
     what is set at the instrument stays."""
     over_current_a: Annotated[float, Gt(0.0), Le(110.0)] | None = None
     """The same for its over-current protection, which switches off where `current_limit_a` only limits."""
     setup_commands: tuple[str, ...] = ()
-    """Sent after each check of the identity, for example `SYST:REM` (many need it before they obey on a
-    serial line) or `INST:NSEL 1` (channel); only SYST, INST and DISP commands, which switch nothing."""
+    """Sent after each check of the identity, for example `SYST:REM` (many need it on a serial line) or
+    `INST:NSEL 1` (channel). Only SYST, INST and DISP commands, which switch nothing."""
 
     @property
     def longest_order_s(self) -> float:
@@ -173,7 +173,7 @@ class ClimateParameters(LogParameters):
     humidity_query: str = "MEAS:HUM?"
     """Asks for the relative humidity."""
     humidity_unit: Literal["percent", "fraction"] = "percent"
-    """Unit in which the probe tells its relative humidity."""
+    """Unit of the probe's relative humidity."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for an invalid identity pattern or query."""

@@ -77,7 +77,7 @@ class ChainParameters:
     spheres_above: Annotated[int, Ge(1), Le(1000)] = 4
     """Spheres above the sensor, the striker counted (paper: 4)."""
     spheres_below: Annotated[int, Ge(0), Le(1000)] = 4
-    """Spheres between sensor and plate (paper: N = 4); 0 stands a `sphere` sensor on the plate."""
+    """Spheres between sensor and plate (paper: N = 4); 0 puts a `sphere` sensor on the plate."""
     spheres: tuple[SphereParameters, ...] = ()
     """Bodies that differ from the others, as `[[chain.spheres]]`; the paper has none."""
     sensor: Literal["sphere", "disk"] = "disk"

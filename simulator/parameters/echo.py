@@ -52,7 +52,7 @@ class EchoParameters:
     """Power of the frequency it grows with: 0 not at all, 1 absorption, 4 scatter by small grains."""
     roughness_fraction: Annotated[float, Ge(0.0), Le(2.0)] = 0.2
     """SD of the logarithm of the wall lost at a spot: so a patch of 25.4 mm varies between 2 and 5 mm, as
-    the paper's core did. 0 is a smooth far wall; one that has lost nothing is smooth whatever this is."""
+    the paper's core did. 0 is a smooth far wall; a wall that has lost nothing is always smooth."""
     correlation_length_m: Annotated[float, Gt(0.0), Le(0.1)] = 2.4e-3
     """Distance at which that logarithm's correlation falls to 1/e (the longest of Jarvis and Cegla's)."""
     coupling_sd_db: Annotated[float, Ge(0.0), Le(20.0)] = 0.0

@@ -169,11 +169,11 @@ class TwinParameters:
     """Parameters of the twin beyond the model of the specimen."""
 
     seed: Annotated[int, Ge(0), Lt(2**32)] = 1
-    """The same seed gives the same numbers, whatever the order of the shots."""
+    """The same seed gives the same numbers in any order of the shots."""
     update_interval_s: Annotated[float, Ge(1.0), Le(1e6)] = 600.0
     """Depth and temperature hold for this long, so that a set has one of each (corrosion is slow)."""
     nuisance: NuisanceLevel = "none"
-    """What else disturbs a healthy rig, on top of scatter, drift and noise (`parameters.nuisance`): `none`,
+    """Level of environmental and operational variability, on top of scatter, drift and noise: `none`,
     `laboratory`, `workshop` or `plant`."""
     scatter: ScatterParameters = field(default_factory=ScatterParameters)
     """Differences between shots."""

@@ -36,7 +36,7 @@ class MissedStrikeFault(_Fault):
     """The striker sticks: no wave, and nothing to trigger on."""
 
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
-    """Probability a strike; a repeated strike is drawn anew."""
+    """Probability for each strike, repeated ones included."""
 
 
 @bounded
@@ -122,7 +122,7 @@ class SpikesFault(_Fault):
     fwhm_s: Annotated[float, Gt(0.0), Le(1e-3)] = 1e-6
     """Full width at half maximum; the shape is a Gaussian (assumption)."""
     armed_s: Annotated[float, Ge(0.0), Le(10.0)] = 0.1
-    """Time the digitizer stands armed before the wave, open to a false trigger (assumption)."""
+    """Time for which the digitizer is armed before the wave, open to a false trigger (assumption)."""
 
 
 @bounded

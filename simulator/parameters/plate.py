@@ -24,9 +24,9 @@ class LiquidParameters:
     """Liquid on one face of the complete plate, between side walls over its edges."""
 
     density_kg_per_m3: Annotated[float, Gt(0.0), Le(2e4)] = 1023.0
-    """Density (handbook value of a 3.5 % NaCl solution at 20 C; the paper's plate stands in one)."""
+    """Density (handbook value of a 3.5 % NaCl solution at 20 C; the paper's plate is in one)."""
     depth_m: Annotated[float, Gt(0.0), Le(1e4)]
-    """Depth of the layer (the paper gives none); beyond some centimetres it no longer matters."""
+    """Depth of the layer (the paper gives none); above some centimeters it does not matter."""
 
 
 @bounded
@@ -79,9 +79,9 @@ class PlateParameters:
     liquid: LiquidParameters | None = None
     """Liquid on one face; absent: dry, as the paper's model."""
     contact_x_m: Annotated[float, Ge(-50.0), Le(50.0)] = 0.0
-    """Where the chain stands, from the plate's centre along x."""
+    """Position of the chain, from the plate's center along x."""
     contact_y_m: Annotated[float, Ge(-50.0), Le(50.0)] = 0.0
-    """Where the chain stands, from the plate's centre along y."""
+    """Position of the chain, from the plate's center along y."""
     contact: Literal["node", "patch"] = "node"
     """Load of `mindlin`: a point force on one node (paper), or Hertz's pressure over a circle."""
     contact_radius_m: Annotated[float, Gt(0.0), Le(1.0)] = 2e-4
@@ -202,8 +202,8 @@ class CorrosionParameters:
     offset_y_m: PatchOffset = 0.0
     """Centre of the patch from the contact, along y."""
     profile: PatchProfile = "flat"
-    """Depth over the patch, largest in its middle: `flat` (paper), `bowl` 1 - (r / R)^2 or `cosine`
-    (1 + cos(pi r / R)) / 2; over a square or a rectangle the product of these along x and y."""
+    """Depth over the patch: `flat` (paper), `bowl` 1 - (r / R)^2 or `cosine` (1 + cos(pi r / R)) / 2. Over a
+    square or a rectangle it is the product of these along x and y."""
     depth_factor: DepthFactor = 1.0
     """Largest depth of this patch over `depth_fraction`; below 1 where a further patch is deeper."""
     further: tuple[PatchParameters, ...] = ()

@@ -33,7 +33,7 @@ def test_house_rules_hold(command):
 
 def test_the_readme_s_commands_are_one_line_each():
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-    assert "python -m pip install -c constraints.txt -e . && solimon demo" in lines
+    assert 'python -m pip install -c constraints.txt -e ".[demo]" && solimon demo' in lines
     assert 'python -m pip install -c constraints.txt -e ".[test]" && pytest -n 4 --dist loadfile' in lines
 
 

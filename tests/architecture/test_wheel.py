@@ -9,6 +9,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from hatchling.builders.sdist import SdistBuilder
+from hatchling.builders.wheel import WheelBuilder
+
+from daq_service.web.documentation import SITE
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("daq_service", "hardware_drivers", "analysis", "simulator")
@@ -49,6 +53,19 @@ def test_the_wheel_holds_every_file_of_the_packages_configuration_and_licence(wh
     (offered,) = (name for name in names if name.endswith(".dist-info/entry_points.txt"))
     assert b"[pytest11]\nsolimon = hardware_drivers.conformance.plugin\n" in archive.read(offered)
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
+
+
+@pytest.mark.parametrize("builder", [WheelBuilder, SdistBuilder])
+def test_a_built_documentation_site_is_included_though_git_ignores_it(builder, tmp_path):
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):
+        shutil.copy(ROOT / name, tmp_path)
+    (tmp_path / "config").mkdir()
+    site = tmp_path / SITE.relative_to(ROOT)
+    (site / "tutorial").mkdir(parents=True)
+    for name in ("index.html", "tutorial/index.html", "search.json"):
+        (site / name).touch()
+    included = {Path(file.path) for file in builder(str(tmp_path)).recurse_included_files()}
+    assert {path for path in site.rglob("*") if path.is_file()} <= included
 
 
 @pytest.mark.slow

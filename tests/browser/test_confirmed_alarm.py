@@ -24,10 +24,10 @@ def test_an_alarm_leads_to_the_confirmation_set_that_suspicion_asked_for(line, o
         ranges = dashboard(page, "charts.tof.ranges")
         marks = [one["from_h"] for one in ranges if one["label"] == "confirmation set"]
         assert len(marks) == 2
-        card = page.locator("[data-alarm]").filter(has_text="lie beyond the limit").first
-        expect(card).to_contain_text("COUPLING")  # within so few sets no wall changes like this
+        card = page.locator("[data-alarm]").filter(has_text="B: signal change").first
+        expect(card).to_contain_text("probable contact change (model: ")
         card.get_by_role("button", name="Evidence").click()
-        expect(page.locator("dialog.details")).to_contain_text("Confirmed: the set at")
+        expect(page.locator("dialog.details")).to_contain_text("Confirmed by the set of")
         page.keyboard.press("Escape")
         card.get_by_role("link", name=f"Open {NAME} of position B").click()
         panel = page.locator("solimon-set")

@@ -203,7 +203,7 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     alarms = page.locator("#alarms")
     expect(alarms).to_contain_text("No alarm has been raised")
     alarm_id = filled.add_alarm("B", N_SETS - 1)
-    expect(alarms).to_contain_text("3 of the last 5 judged sets at B")
+    expect(alarms).to_contain_text("B: signal change, cause undetermined. Distance squared 30.5, limit 24.3")
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
     alarms.get_by_role("button", name="Acknowledge:").click()

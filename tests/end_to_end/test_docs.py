@@ -2,20 +2,22 @@
 
 import contextlib
 import io
-import json
 import re
 import shlex
+import textwrap
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import click
+import orjson
 import pytest
+import yaml
 from click.testing import CliRunner
 from support.small_experiment import run, small_settings
 from support.stored_files import set_files
 
-from daq_service.alarms.guidance import GUIDANCE
 from daq_service.cli.groups.registry import find_command
 from daq_service.cli.main import cli
 from daq_service.processes.notifications.webhook import sign_body
@@ -25,8 +27,12 @@ ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
+BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", flags=re.DOTALL | re.MULTILINE)
+
+
 def blocks(page, language):
-    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = page.read_text(encoding="utf-8")
+    return [textwrap.dedent(found[3]) for found in BLOCK.finditer(text) if found[2] == language]
 
 
 def test_the_python_of_read_the_files_reads_the_files(tmp_path):
@@ -73,19 +79,11 @@ def test_the_examples_of_the_sweep_page_print_what_it_says(tmp_path, monkeypatch
             with contextlib.redirect_stdout(printed):
                 exec(text, {})
             expected = printed.getvalue()
-        elif ",chain." in text:
-            (tmp_path / "shots.csv").write_text(text, encoding="utf-8")
         else:
             assert text == expected
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        *("heights.csv", "heights.csv.json", "heights.h5", "shots.csv", "zener.csv", "zener.csv.json")
+        *("heights.csv", "heights.csv.json", "heights.h5", "zener.csv", "zener.csv.json")
     ]
-
-
-def test_the_table_of_delays_has_every_kind_of_alarm():
-    page = (ROOT / "docs/reference/configuration.md").read_text(encoding="utf-8")
-    table = page.partition("| Kinds | Delays")[2].partition("\n\n")[0]
-    assert {kind for kind in GUIDANCE if f"`{kind}`" not in table} == set()
 
 
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))
@@ -109,11 +107,54 @@ def test_the_receiver_s_check_of_get_notified_checks_what_is_sent(tmp_path):
     assert not names["is_genuine"]("a secret of the duty", old, b"{}")
 
 
+def parse_shell(text):
+    """Split each command of a shell block into words, as a shell would; continued lines are one."""
+    for line in text.replace("\\\n", " ").splitlines():
+        shlex.split(line, comments=True)
+
+
+def parse_yaml(text):
+    yaml.safe_load(textwrap.dedent(text))
+
+
+PARSERS = {
+    "python": lambda text: compile(text, "block", "exec"),
+    "toml": tomllib.loads,
+    "json": orjson.loads,
+    "yaml": parse_yaml,
+    "sh": parse_shell,
+    "console": parse_shell,
+    "matlab": None,  # its names are compared with files (`test_docs_of_a_laboratory.py`)
+    "text": None,  # output of a command, a tree of files, or a drawing
+}
+"""What checks a block of a language that no other test runs."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_of_code_has_a_language_and_is_valid(page):
+    text = page.read_text(encoding="utf-8")
+    found = list(BLOCK.finditer(text))
+    assert len(re.findall(r"^ *```", text, flags=re.MULTILINE)) == 2 * len(found)
+    for block in found:
+        assert block[2] in PARSERS, f"a block without a known language: {block[3]}"
+        if parse := PARSERS[block[2]]:
+            parse(textwrap.dedent(block[3]))
+
+
+def anchors(page):
+    """Return the anchors of a page's headings, as GitHub and the documentation's generator make them."""
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    titles = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_link_and_path_leads_somewhere(page):
     text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
-        assert (page.parent / target).exists(), target
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]+))?\)", text):
+        there = page.parent / target if target else page
+        assert there.exists(), target
+        assert not anchor or anchor in anchors(there), f"{target}#{anchor}"
     folders = "tests|benchmarks|daq_service|simulator|analysis|hardware_drivers|config"
     for target in re.findall(rf"`((?:{folders})/[\w./]+)`", text):
         assert (ROOT / target).exists(), target
@@ -155,11 +196,3 @@ def test_no_text_of_the_program_names_an_unknown_command(folder):
         for name in re.findall(r"`solimon ([a-z][a-z-]*)", path.read_text(encoding="utf-8"))
     }
     assert {name: file for name, file in named.items() if find_command(name) is None} == {}
-
-
-def test_the_api_page_names_every_resource():
-    snapshot = json.loads((ROOT / "tests/contract/openapi.json").read_text(encoding="utf-8"))
-    text = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
-    resources = {path.split("/")[3] for path in snapshot["paths"] if path.startswith("/api/v1/")}
-    missing = {resource for resource in resources if f"`{resource}" not in text}
-    assert missing == set()

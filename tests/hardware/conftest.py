@@ -41,7 +41,7 @@ def rig():
     """Return the rig of the configuration."""
     path = os.environ.get(RIG)
     if not path:
-        pytest.skip(f"{RIG} names no configuration of a real rig (docs/how-to/day-one.md)")
+        pytest.skip(f"{RIG} names no configuration of a real rig (docs/how-to/set-up-a-rig.md)")
     return load_settings(Path(path)).rig
 
 
@@ -74,7 +74,7 @@ def load_ohm():
     """Return the resistance at the output of the supply; naming it permits to energize it."""
     load = os.environ.get(LOAD)
     if not load:
-        pytest.skip(f"{LOAD} is not set: nothing is energised (docs/how-to/day-one.md says what to wire)")
+        pytest.skip(f"{LOAD} is not set: nothing is energized (wiring: docs/how-to/set-up-a-rig.md)")
     return float(load)
 
 
@@ -90,7 +90,7 @@ def loopback(parameters):
     """Return the coil of a position recorded by its own board."""
     position, _, channel = os.environ.get(LOOPBACK, "").partition(":")
     if not channel:
-        pytest.skip(f"{LOOPBACK} is not set, as in B:ai7 (docs/how-to/day-one.md says what to wire)")
+        pytest.skip(f"{LOOPBACK} is not set, as in B:ai7 (wiring: docs/how-to/set-up-a-rig.md)")
     wiring = parameters.transducers[position]
     looped = replace(
         parameters,

@@ -1,7 +1,7 @@
 """What no double can prove: this chassis, its comparator, routes, memory transfers and watchdog.
 
-Run with ``pytest -m hardware``; ``docs/how-to/day-one.md`` says what to wire and to switch off before. Most
-tests move nothing; those that lift strikers and those that need a wire say so in their reason for a skip.
+Run with ``pytest -m hardware``; ``docs/how-to/set-up-a-rig.md`` lists what to wire and to switch off.
+Most tests move nothing; those that lift strikers or need a wire state it in their reason for a skip.
 """
 
 from contextlib import closing

@@ -16,7 +16,7 @@ from analysis.assessment.confirmation import STEP
 from analysis.waves.features import FEATURE_NAMES, extract_features
 from daq_service.acquisition.schedule import build_unscheduled_set, plan_sets
 from daq_service.alarms.operator_actions import acknowledge_alarm, reset_alarm, shelve
-from daq_service.alarms.states import Change, Moment
+from daq_service.alarms.states import Change, Moment, build_alarm_texts
 from daq_service.archive import PositionRecord, SetRecord
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED, Confirmation
 from daq_service.background.live_figure import LiveFigure
@@ -302,6 +302,15 @@ class FilledFolder:
         evidence: dict[str, object] | None = None,
     ) -> int:
         due = self.due[index]
+        evidence = evidence or {
+            "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
+            "rule": {"k": 3, "n": 5},
+            "set_index": index,
+            "distance_squared": 30.5,
+            "limit_name": "f_predictive",
+            "limit": LIMIT_F,
+            "contributions": {"tof_pp_s": 21.4, "amplitude_ratio": 9.1},
+        }
         row = AlarmRow(
             position=position,
             kind=kind,
@@ -312,19 +321,8 @@ class FilledFolder:
             raised_h=due.due_h,
             raised_set_index=index,
             changed_utc_ns=due.due_utc_ns,
-            message=message
-            or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): "
-            "wall or transducer has changed; inspect",
-            evidence=evidence
-            or {
-                "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
-                "rule": {"k": 3, "n": 5},
-                "set_index": index,
-                "distance_squared": 30.5,
-                "limit_name": "f_predictive",
-                "limit": LIMIT_F,
-                "contributions": {"tof_pp_s": 21.4, "amplitude_ratio": 9.1},
-            },
+            message=message or build_alarm_texts(kind, position, evidence, due.due_h).message,
+            evidence=evidence,
         )
         event = EventRow(
             utc_ns=due.due_utc_ns,

@@ -14,7 +14,7 @@ NS_PER_H = 3_600_000_000_000
 def condition(present: bool = True, **values: Any) -> Condition:
     """Return a condition of a possible change of the wall at B."""
     usual = {"position": "B", "kind": "wall_change", "alarm_class": "damage", "priority": "high"}
-    return Condition(**{**usual, "present": present, "message": "3 of 5", **values})
+    return Condition(**{**usual, "present": present, **values})
 
 
 def alarm_row(position: str | None = "B", kind: str = "wall_change", **columns: Any) -> AlarmRow:

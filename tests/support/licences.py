@@ -23,6 +23,7 @@ EXTRAS = (
     "notify",
     "visa",
     "conformance",
+    "docs",
     "test",
     "dev",
     "cluster",

@@ -47,7 +47,6 @@ class Alarms:
                 "position": "B",
                 "alarm_class": "damage",
                 "priority": "high",
-                "message": f"{kind} is there",
                 **further,
             },
             kind=kind,

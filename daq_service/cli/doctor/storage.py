@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from daq_service.alarms.data_trouble import SHOWN
 from daq_service.archive import FolderSetReader
 from daq_service.catalogue import check_owner, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, SchemaVersionError
@@ -27,6 +26,7 @@ from daq_service.recording.experiment import find_stored_experiment
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import retry
 
+MOST_SHOWN = 5
 SLOW_WRITE_S = 1.0
 """If a small file takes longer to become durable, the disk will delay sets."""
 LOOK_S = 0.5
@@ -189,8 +189,8 @@ def _check_catalogue(folder: Path) -> list[Check]:
 def _check_stored_sets(folder: Path) -> list[Check]:
     """Check that each set with rows has a file that is not empty; contents are not read.
 
-    Returns no check if no test has started or the catalogue has an earlier version. Names at most `SHOWN`
-    files. A catalogue that cannot be read gives a failed check.
+    Returns no check if no test has started or the catalogue has an earlier version. At most `MOST_SHOWN`
+    files are named. A catalogue that cannot be read gives a failed check.
     """
     name = "data folder: sets"
     try:
@@ -203,8 +203,8 @@ def _check_stored_sets(folder: Path) -> list[Check]:
     values = {"lost_sets": len(lost)}
     if not lost:
         return [Check("folder", name, "ok", "every set that has rows is there", values=values)]
-    sentences = "; ".join(f"{file} {reason}" for file, reason in list(lost.items())[:SHOWN])
-    rest = f"; and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
+    sentences = "; ".join(f"{file} {reason}" for file, reason in list(lost.items())[:MOST_SHOWN])
+    rest = f"; and {len(lost) - MOST_SHOWN} more" if len(lost) > MOST_SHOWN else ""
     remedy = "bring them back with solimon repair --from BACKUP; solimon verify looks at everything"
     return [Check("folder", name, "fail", f"{sentences}{rest}", remedy, values)]
 

@@ -198,7 +198,7 @@ def write_valid_config(
     settings = validate_new_file(values, off, file)
     write_config(file, values, head=head, off=off)
     dialogue.report(f"{file} is written with its schema ({settings.configuration_hash()[:12]})")
-    dialogue.report(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
+    dialogue.report(f"next: solimon check-config {file}, then docs/how-to/set-up-a-rig.md")
     return {
         "file": str(file),
         "configuration_hash": settings.configuration_hash(),

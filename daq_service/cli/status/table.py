@@ -252,7 +252,7 @@ def _yield_alarm_checks(alarms: Sequence[Facts]) -> Iterator[Text]:
     """
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
-            yield Text(f"{kind}: checks: {join_numbered_steps(GUIDANCE[kind].checks)}")
+            yield Text(f"Checks, {kind.replace('_', ' ')}: {join_numbered_steps(GUIDANCE[kind].checks)}")
 
 
 def _describe_alarm_state(row: Facts) -> str:
@@ -275,6 +275,6 @@ def _make_alarm_table(alarms: Sequence[Facts]) -> Table:
             row["position"] or "-",
             Text(_describe_alarm_state(row), style=STYLES.get(row["suppressed"] or row["state"], "")),
             format_duration(3600.0 * row["age_h"]),
-            f"{row['kind']}: {row['message']}",
+            row["message"],
         )
     return table

@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Literal, TypedDict
 from urllib.parse import urlencode
 
 import orjson
 
 from daq_service.alarms.evidence import describe_evidence
-from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.states import PRIORITIES
-from daq_service.catalogue.rows import EventRow, ExperimentRow
+from daq_service.alarms.guidance import name_contact
+from daq_service.alarms.states import PRIORITIES, RESPOND_WITHIN_H, build_alarm_texts
+from daq_service.catalogue.rows import EventRow, ExperimentRow, Priority
 from daq_service.clock import format_utc
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -22,23 +22,19 @@ from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 MOST_LISTED = 20
 """Alarms written out in a message; the remaining ones are counted."""
 FORMAT_VERSION = 1
-ChangeKind = Literal["raised", "worse", "back", "over"]
+ChangeKind = Literal["raised", "priority raised", "active again", "returned to normal", "reset", "reminder"]
 CHANGES: Mapping[str, ChangeKind] = {
     "alarm_raised": "raised",
-    "alarm_priority_raised": "worse",
-    "alarm_reactivated": "back",
-    "alarm_shelf_expired": "back",
-    "alarm_cleared": "over",
-    "alarm_reset": "over",
+    "alarm_priority_raised": "priority raised",
+    "alarm_reactivated": "active again",
+    "alarm_shelf_expired": "active again",
+    "alarm_cleared": "returned to normal",
+    "alarm_reset": "reset",
+    "alarm_response_overdue": "reminder",
 }
+ENDED: Sequence[ChangeKind] = ("returned to normal", "reset")
 REWORDED = {"wall_utc_ns", "changed_utc_ns", "evidence"}
 """Fields of a change that its message states in another form."""
-_CHANGE_TEXTS: Mapping[ChangeKind, str] = {
-    "raised": "has come",
-    "worse": "has become worse",
-    "back": "is back",
-    "over": "is over",
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +53,8 @@ class AlarmChange:
     alarm_id: int
     position: str | None
     kind: str
-    priority: str
+    priority: Priority
+    headline: str
     message: str
     changed_utc_ns: int
     raised_h: float
@@ -81,7 +78,7 @@ def parse_alarm_change(event: EventRow) -> AlarmChange | None:
     # An event of a very old folder does not carry its alarm's row.
     if change is None or event.id is None or not payload.keys() >= {"priority", "state", "raised_h"}:
         return None
-    if change != "over" and (payload["state"] != "unacknowledged" or payload.get("suppressed")):
+    if change not in ENDED and (payload["state"] != "unacknowledged" or payload.get("suppressed")):
         return None
     return AlarmChange(
         event_id=event.id,
@@ -91,6 +88,9 @@ def parse_alarm_change(event: EventRow) -> AlarmChange | None:
         position=event.position,
         kind=payload["kind"],
         priority=payload["priority"],
+        headline=build_alarm_texts(
+            payload["kind"], event.position, payload.get("evidence") or {}, payload["raised_h"]
+        ).headline,
         message=payload["message"],
         changed_utc_ns=event.utc_ns,
         raised_h=payload["raised_h"],
@@ -110,20 +110,24 @@ class Test:
         Part of every key: it distinguishes two tests of the same name.
     page
         Address of the page for other computers; empty where no host name is configured.
+    contacts
+        Persons to ask, by responsibility.
     """
 
     name: str
     mark: str
     page: str = ""
+    contacts: Mapping[str, str] = field(default_factory=dict)
 
 
-def identify_test(row: ExperimentRow, page: str) -> Test:
-    """Build the identity of a test for messages, with the URL ``page`` of its page.
+def identify_test(row: ExperimentRow, page: str, contacts: Mapping[str, str]) -> Test:
+    """Build the identity of a test for messages, with the URL ``page`` of its page and persons to ask.
 
     Its mark is the start (12 hexadecimal digits) of a hash of name, configuration hash and time of creation.
     """
     identity = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
-    return Test(name=row.name, mark=hashlib.sha256(identity.encode()).hexdigest()[:12], page=page)
+    mark = hashlib.sha256(identity.encode()).hexdigest()[:12]
+    return Test(name=row.name, mark=mark, page=page, contacts=contacts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,7 +180,7 @@ def build_alarm_message(
     title = (
         _format_headline(changes[0])
         if len(changes) == 1
-        else f"{len(changes)} changes of alarms: {_format_counts(changes)}"
+        else f"[{highest_priority.upper()}] {len(changes)} alarm changes: {_format_counts(changes)}"
     )
     return Message(
         key=derive_key(test, receiver, [item.event_id for item in changes]),
@@ -208,13 +212,13 @@ def build_heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *,
     """Build a heartbeat message from recorder status and ages; ``now_ns`` is UTC in ns."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
-        "no set is stored yet" if age_h is None else f"the last set is {_format_age(age_h * 3600.0)} old"
+        "no set is stored yet" if age_h is None else f"last set {_format_age(age_h * 3600.0)} ago (test time)"
     )
     return Message(
         key=f"{test.mark}.{receiver}.beat-{now_ns // NS_PER_S}",
         kind="heartbeat",
         title=f"Alive - {test.name}",
-        text=f"The recorder is {facts['recorder']} ({facts['doing']}); {last_set_text} on the test's clock.",
+        text=f"Recorder {facts['recorder']} ({facts['doing']}); {last_set_text}.",
         facts={"test": test.name, "receiver": receiver, "sent_utc": format_utc(now_ns, 0), **facts},
     )
 
@@ -225,15 +229,15 @@ def build_test_message(test: Test, receiver: str, author: str, *, now_ns: int) -
         key=f"{test.mark}.{receiver}.test-{now_ns}",
         kind="test",
         title=f"TEST, no alarm - {test.name}",
-        text=f"{author or 'Somebody'} tries whether {receiver} is reached. Nothing is wrong, nothing to do.",
+        text=f"Test message to {receiver} by {author or 'an unknown person'}. No action is needed.",
         facts={"test": test.name, "receiver": receiver, "sent_utc": format_utc(now_ns, 0)},
     )
 
 
 def _format_headline(item: AlarmChange) -> str:
-    """Format priority, kind, position (if any) and change of an alarm as one line."""
-    at = f" at {item.position}" if item.position else ""
-    return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
+    """Format the priority of an active alarm, or how it ended, and the headline as one line."""
+    label = item.change if item.change in ENDED else item.priority
+    return f"[{label.upper()}] {item.headline}"
 
 
 def _format_counts(changes: Sequence[AlarmChange]) -> str:
@@ -248,20 +252,21 @@ def _describe_alarm_change(
 ) -> dict[str, object]:
     """Build the entry of an alarm's change in a message: its fields, quality, UTC, age (s), link and text.
 
-    ``now_ns`` is UTC. Without ``quality`` the text has ``unknown``. An alarm that returned to normal is
-    described without evidence and guidance.
+    ``now_ns`` is UTC. Without ``quality`` the text has ``unknown``. An alarm that ended is described
+    without evidence and contact.
     """
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
-    sentences = [
-        f"{_format_headline(item)}: {item.message.rstrip('.')}.",
-        f"First raised at hour {item.raised_h:.2f} of the test{at_set}.",
-        f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_format_age(age_s)} ago.",
+    label = _format_headline(item).removesuffix(item.headline)
+    lines = [
+        f"{label}{item.message}",
+        f"Event: {item.change}, {format_utc(item.changed_utc_ns, 0)}, stored {_format_age(age_s)} ago.",
+        f"First raised at hour {item.raised_h:.1f}{at_set}.",
     ]
-    if item.change != "over":
-        sentences += [item.evidence] if item.evidence else []
-        guidance = GUIDANCE.get(item.kind)
-        sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its evidence.'}")
+    if item.change not in ENDED:
+        lines += [item.evidence] if item.evidence else []
+        within, contact = 3600.0 * RESPOND_WITHIN_H[item.priority], name_contact(item.kind, test.contacts)
+        lines.append(f"Respond within {_format_age(within)}. Contact: {contact}.")
     link = _link_to_alarm(test, item)
     return {
         **{name: value for name, value in asdict(item).items() if name not in REWORDED},
@@ -269,7 +274,7 @@ def _describe_alarm_change(
         "changed_utc": format_utc(item.changed_utc_ns, 0),
         "age_s": age_s,
         "link": link,
-        "text": " ".join([*sentences, *([link] if link else [])]),
+        "text": " ".join([*lines, *([link] if link else [])]),
     }
 
 

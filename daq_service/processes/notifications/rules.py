@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq_service.alarms.states import PRIORITIES
-from daq_service.processes.notifications.messages import AlarmChange
+from daq_service.processes.notifications.messages import ENDED, AlarmChange
 from daq_service.settings.notifications import RuleSettings
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -68,7 +68,7 @@ class WaitingChanges:
             Events that are not sent: the alarm ended within its delay, or the rule excludes its end.
         """
         its_rule = self._rules[rule]
-        if change.change != "over":
+        if change.change not in ENDED:
             # Independent of steps of the clocks, nothing waits longer than its delay.
             remaining_s = min(its_rule.delay_s, max(0.0, its_rule.delay_s - age_s))
             self._items[change.event_id] = _Item(change, rule, now_s + remaining_s)
@@ -76,7 +76,7 @@ class WaitingChanges:
         waiting = [item for item in self._items.values() if item.change.alarm_id == change.alarm_id]
         first = waiting[0].change if waiting else None
         active_s = 0.0 if first is None else (change.wall_utc_ns - first.wall_utc_ns) / NS_PER_S
-        if first is not None and first.change in ("raised", "back") and active_s < its_rule.delay_s:
+        if first is not None and first.change in ("raised", "active again") and active_s < its_rule.delay_s:
             return [*self.remove([item.change for item in waiting]), change.event_id]
         if not its_rule.returned:
             return [change.event_id]

@@ -42,7 +42,7 @@ class Source:
         """
         page = read_page_address(self._settings.web)
         try:
-            return identify_test(self._catalogue().read_experiment(), page)
+            return identify_test(self._catalogue().read_experiment(), page, self._settings.alarms.contacts)
         except NoDataYetError:
             return Test(name=self._settings.name, mark="not-begun", page=page)
 

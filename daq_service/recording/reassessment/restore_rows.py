@@ -19,6 +19,7 @@ from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.acquisition.shot_features import compute_rehearsal_features, extract_shot_features
 from daq_service.alarms.delays import DELAY_EVENT
+from daq_service.alarms.states import index_alarm
 from daq_service.archive import (
     ArchiveError,
     CorruptArchiveError,
@@ -204,7 +205,7 @@ class _Restoration:
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = full_row(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
-            self._set_assessor.alarms[(row.position, row.kind)] = row
+            index_alarm(self._set_assessor.alarms, row)
 
     # Rows that are stored -------------------------------------------------------------------------
 

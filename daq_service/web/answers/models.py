@@ -206,6 +206,16 @@ class AlarmEvidence(BaseModel):
     consecutive_poor_sets: int | None = None
     minimum_valid_shots: int | None = None
     shots_without_psw: int | None = None
+    shots: int | None = None
+    reason: str | None = None
+    author: str | None = None
+    note: str | None = None
+    error_message: str | None = None
+    stopped: bool | None = None
+    free_percent: float | None = None
+    stop_percent: float | None = None
+    free_gb: float | None = None
+    waits_in: str | None = None
     error: str | None = None
     command_id: int | None = None
     set_aside: list[str] | None = None
@@ -215,8 +225,11 @@ class AlarmEvidence(BaseModel):
 
 @_copy_fields_of(rows.AlarmRow)
 class AlarmRow(Answer):
-    """Alarm with its evidence."""
+    """Alarm with its texts and its evidence."""
 
+    headline: str
+    action: str
+    response_time_s: float
     evidence: AlarmEvidence
     evidence_sentences: list[str]
 

@@ -28,7 +28,8 @@ from daq_service.web.auth.roles import CLAIMED, Person
 from daq_service.web.auth.tokens import KnownTokens, find_tokens_file, read_tokens
 
 PUBLIC_PATHS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
-PAGE_FILES = "/static/"
+PAGE_FILES = ("/static/", "/docs")
+"""Prefixes of the paths of dashboard and documentation."""
 OF_TEST = re.compile(r"/tests/[^/]+(?=/)")
 """Prefix of the paths of a test in a service with several tests."""
 MOST_WRONG, WRONG_EVERY_S = 10, 6.0

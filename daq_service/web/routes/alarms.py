@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from daq_service.alarms.guidance import GUIDANCE
+from daq_service.alarms.guidance import GUIDANCE, name_contact
 from daq_service.alarms.transitions import build_transition
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.web.answers import models
@@ -39,9 +39,14 @@ def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
 
 
 @router.get("/guidance", response_model=models.GuidanceList)
-def list_guidance() -> JsonAnswer:
-    """List for each kind of alarm its meaning, limitations, checks and contact; needs no stored data."""
-    return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})
+def list_guidance(context: ContextOf) -> JsonAnswer:
+    """List for each kind of alarm its meaning, limitations, checks, action, consequence and contact."""
+    contacts = context.settings.alarms.contacts
+    items = [
+        {"kind": kind, **asdict(guidance), "contact": name_contact(kind, contacts)}
+        for kind, guidance in GUIDANCE.items()
+    ]
+    return JsonAnswer({"items": items})
 
 
 def _read_alarm(context: Context, alarm_id: int) -> AlarmRow:

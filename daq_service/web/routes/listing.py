@@ -35,7 +35,7 @@ SetOfPath = Annotated[str, Path(pattern=SET_PATTERN, description=SET_TEXT)]
 
 PurposeFilter = Annotated[
     Purposes,
-    Query(description="Sets of the plan, those beside it, or both"),
+    Query(description="Scheduled sets, unscheduled sets, or both"),
 ]
 
 

@@ -34,9 +34,10 @@ router = APIRouter(tags=["waveforms"])
 def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: SetOfPath) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
-    The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
-    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched, and
-    counts unreadable records (n_damaged). Answered with 404 if none is stored.
+    For each record the header has shot_index, sequence, dtype, n_samples, sample_rate_hz,
+    pretrigger_samples and coefficients_v (volts = sum of coefficients_v[k] counts^k). It also has the
+    windows in which pulses or echoes are searched, and counts unreadable records (n_damaged). Answered with
+    404 if none is stored.
     """
     catalogue, key = context.catalogue(), SetKey.parse(set_index)._asdict()
     set_row = next(iter(catalogue.rows(SetRow, position=context.validate_position(position), **key)), None)

@@ -82,7 +82,7 @@ def get_trend(
 ) -> JsonAnswer:
     """Return features or thickness with assessments by column, one entry per set or bin of sets.
 
-    Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets: the columns
+    Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets. Its columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
     range has smaller bins, at last single sets. An unknown position: 404; an unknown column: 422.
     """

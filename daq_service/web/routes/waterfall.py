@@ -50,7 +50,7 @@ Seconds = Annotated[
     "/waterfall/{position}",
     response_model=Waterfall,
     responses=describe_files(OCTET_STREAM)
-    | {204: {"description": "No record of the position is stored; /api/v1/sets tells why"}}
+    | {204: {"description": "No record of the position is stored; /api/v1/sets has the reason"}}
     | UNCHANGED
     | describe_errors(404, 503),
 )
@@ -70,11 +70,11 @@ def get_waterfall(
 ) -> Response:
     """Return all accepted waveforms of a position as an image of the extremes of each cell.
 
-    Octets: u32 header length, JSON header padded with spaces to a multiple of 8, then float32 (little-endian)
-    of all minima by row, then of all maxima; NaN where there is no sample. No sample is lost, even with few
-    rows and columns; edges of rows are at multiples of `row_sets`, so the first and last may exceed the
-    range. The time of a record counts from its anchor; a record without one is in no aligned image. The
-    difference to the baseline is answered with 404 before there is one.
+    Octets: u32 header length, JSON header padded with spaces to a multiple of 8, then float32
+    (little-endian). These are all minima by row, then all maxima; NaN where there is no sample. No sample is
+    lost, even with few rows and columns. Edges of rows are at multiples of `row_sets`, so the first and last
+    may exceed the range. The time of a record counts from its anchor; a record without one is in no aligned
+    image. The difference to the baseline is answered with 404 before there is one.
     """
     method = context.settings.positions[context.validate_position(position)].method
     _check_parameters(method, align, from_s, to_s, rows * columns if form == "json" else 0)

@@ -85,7 +85,7 @@ def get_waveform(
     """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0.
 
     With `points`, JSON and npy (rows: time in s, volts) hold only the extremes of equal bins, at most so
-    many samples; octets are all counts, with sampling and calibration in the headers.
+    many samples. Octets are all counts, with sampling and calibration in the headers.
     """
     context.validate_position(position)
     catalogue, set_key = context.catalogue(), SetKey.parse(set_index)

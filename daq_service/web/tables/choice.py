@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq_service.alarms.evidence import build_evidence_sentences
+from daq_service.alarms.evidence import build_alarm_columns
 from daq_service.catalogue import Catalogue, rows
 from daq_service.catalogue.published_columns import PublishedColumn, Purposes, add_nested, list_shown_columns
 from daq_service.catalogue.reader import Filters
@@ -58,7 +58,7 @@ TABLES: Mapping[str, TableKind] = {
     "thickness": TableKind(rows.ThicknessRow, "Pulse-echo results"),
     "environment": TableKind(rows.EnvironmentRow, "Supply and climate around each set"),
     "baselines": TableKind(rows.BaselineRow, "Baselines of every position: lifecycle, quality, limits"),
-    "alarms": TableKind(rows.AlarmRow, "Alarms with their proofs"),
+    "alarms": TableKind(rows.AlarmRow, "Alarms with their evidence"),
     "annotations": TableKind(rows.AnnotationRow, "What people noted of hours of the test"),
 }
 
@@ -163,7 +163,7 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
             if kind.row is rows.AlarmRow:
                 baselines = catalogue.read_baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):
-                    row["evidence_sentences"] = build_evidence_sentences(alarm, baselines)
+                    row.update(build_alarm_columns(alarm, baselines))
             yield _convert_to_columns([add_nested(kind.row, row) for row in rows_json], names)
         if len(stored) < PAGE_ROWS:
             return
@@ -190,4 +190,4 @@ def _convert_to_columns(rows_json: Sequence[Mapping[str, object]], names: Sequen
 
 def _convert_to_plain_value(value: object) -> object:
     """Return dictionaries and lists as JSON text, and other values unchanged: a file holds no nested ones."""
-    return json.dumps(value) if isinstance(value, dict | list) else value
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, dict | list) else value

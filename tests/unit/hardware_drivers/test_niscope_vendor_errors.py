@@ -1,9 +1,7 @@
 """Every error of the vendor's package leaves the driver as one of four classes, its cause attached."""
 
-import re
 import sys
 import warnings
-from pathlib import Path
 
 import pytest
 
@@ -100,22 +98,3 @@ def test_a_missing_runtime_is_reported_also_next_to_ni_tclk(monkeypatch):
         ConfigurationError, match="opening 'PXI1Slot5': the NI-SCOPE runtime is not installed"
     ):
         open_session(niscope, "PXI1Slot5")
-
-
-def documented():
-    """Status and class of each row of the page that lists them."""
-    page = (Path(__file__).parents[3] / "docs" / "reference" / "faults-niscope.md").read_text(
-        encoding="utf-8"
-    )
-    for line in page.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if re.fullmatch(r"-\d+(, -\d+)*", cells[0]):
-            yield from ((int(code), cells[-1]) for code in cells[0].split(", "))
-
-
-def test_the_page_lists_every_status_with_its_class():
-    named = {code: kind.__name__ for code, kind in CLASS_OF_CODE.items()}
-    # Absent at the start is a wrong name in the file; later it is a board that was taken out.
-    later = "ConfigurationError at the start, ConnectionLostError later"
-    absent = {code for code, name in named.items() if name == "BoardAbsentError"}
-    assert dict(documented()) == named | dict.fromkeys(absent, later)

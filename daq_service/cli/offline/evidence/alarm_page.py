@@ -7,7 +7,8 @@ from dataclasses import asdict
 from importlib.metadata import version
 
 from daq_service.alarms.evidence import build_evidence_sentences
-from daq_service.alarms.guidance import GUIDANCE
+from daq_service.alarms.guidance import GUIDANCE, name_contact
+from daq_service.alarms.states import describe_alarm
 from daq_service.alarms.transitions import build_transition
 from daq_service.catalogue.rows import as_dict
 from daq_service.cli.offline.evidence.figures import Picture
@@ -21,17 +22,16 @@ NOT_SHOWN = (*NOT_COMPARED, "averages")
 
 
 def format_alarm_title(found: Explained) -> str:
-    """Format the title of the alarm's page: ``Alarm 3: signal change at position B``."""
-    where = f" at position {found.alarm.position}" if found.alarm.position else ""
-    return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
+    """Format the title of the alarm's page: its number and its headline."""
+    return f"Alarm {found.alarm.id}: {describe_alarm(found.alarm).headline}"
 
 
 def describe_recomputation(found: Explained) -> str:
     """Describe in sentences whether the recomputation raises the same alarm, or why there is none."""
     recomputed = found.again
     if recomputed is None:
-        return f"This alarm is not recomputed: {found.why_not}. It is told as it is stored."
-    read = f"{recomputed.n_records} records of {recomputed.n_sets} sets were judged again"
+        return f"This alarm is not recomputed: {found.why_not}. The page shows what is stored."
+    read = f"{recomputed.n_records} records of {recomputed.n_sets} sets were reassessed"
     if found.agrees:
         return (
             f"{read}, and the same set raises the same alarm: features, baseline, limits and assessments are "
@@ -61,7 +61,7 @@ def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
         assessment=_yield_facts_with_value(
             {name: assessment[name] for name in assessment if name not in NOT_SHOWN}
         ),
-        guidance=GUIDANCE.get(found.alarm.kind),
+        guidance=_find_guidance(found),
         history_cells=build_history_cells,
         evidence=_yield_facts_with_value(found.alarm.evidence),
     )
@@ -69,7 +69,7 @@ def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 def collect_alarm_facts(found: Explained) -> dict[str, object]:
     """Collect the contents of the page and the rows behind it as values for JSON (with NumPy arrays)."""
-    recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
+    recomputed = found.again
     return {
         "test": found.experiment.name,
         "configuration_hash": found.experiment.configuration_hash,
@@ -77,7 +77,7 @@ def collect_alarm_facts(found: Explained) -> dict[str, object]:
         "explained_by": version("solimon"),
         "alarm": as_dict(found.alarm),
         "sentences": _describe_evidence(found),
-        "guidance": None if guidance is None else asdict(guidance),
+        "guidance": _find_guidance(found),
         "history": [build_transition(event) for event in found.history],
         "agrees": found.agrees,
         "why_not_recomputed": found.why_not or None,
@@ -100,6 +100,14 @@ def _collect_recomputed_facts(recomputed: Recomputed) -> dict[str, object]:
         "shots_without_psw": [{"set_index": index, "n": n} for index, n in recomputed.silent.items()],
         "pulses": None if pulses is None else asdict(pulses),
     }
+
+
+def _find_guidance(found: Explained) -> dict[str, object] | None:
+    """Return the guidance for the alarm, with the configured contact; None for a kind without guidance."""
+    if (guidance := GUIDANCE.get(found.alarm.kind)) is None:
+        return None
+    contacts = found.experiment.configuration.get("alarms", {}).get("contacts", {})
+    return {**asdict(guidance), "contact": name_contact(found.alarm.kind, contacts)}
 
 
 def _describe_evidence(found: Explained) -> list[str]:

@@ -10,7 +10,6 @@ import orjson
 from daq_service.cli.offline.evidence.alarm_page import (
     collect_alarm_facts,
     describe_recomputation,
-    format_alarm_title,
     render_alarm_page,
 )
 from daq_service.cli.terminal import print_set_progress
@@ -52,6 +51,6 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     if as_json:
         click.echo(facts.decode())
         return
-    click.echo(f"{format_alarm_title(found)}: {found.alarm.message}")
+    click.echo(f"Alarm {found.alarm.id}: {found.alarm.message}")
     click.echo(describe_recomputation(found))
     click.echo(f"{page}: open it in a browser, or print it; {facts_file.name} has the numbers")

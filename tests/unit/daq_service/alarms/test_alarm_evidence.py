@@ -36,9 +36,14 @@ PROOFS: dict[str, dict[str, Any]] = {
         "delay_s": 8e-6,
         "extractor_version": "1",
     },
-    "no_reflection": {"rule": {"shots": 7, "consecutive_sets": 2}, "set_index": 12, "shots_without_psw": 9},
+    "no_reflection": {
+        "rule": {"shots": 7, "consecutive_sets": 2},
+        "set_index": 12,
+        "shots_without_psw": 9,
+        "shots": 10,
+    },
     "few_valid_shots": {"set_index": 8, "consecutive_poor_sets": 2, "minimum_valid_shots": 7},
-    "transducer_disabled": {"command_id": 5},
+    "transducer_disabled": {"command_id": 5, "author": "ann", "note": "coil is hot"},
     "instruments_unavailable": {"set_index": 3, "error": "ConnectionLostError"},
     "data_corrupt": {"set_aside": ["a.h5", "b.h5"], "damaged": {"c.h5": "is gone"}},
     "supply_current_limit": {
@@ -73,44 +78,43 @@ CHART: dict[str, Any] = {
 def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate():
     assert describe_evidence("wall_change", CHART) == [
         (
-            "With set 60 the chart stands at 118, 2 times its limit of 59; it averages over sets, so the "
-            "change has lasted."
+            "Control chart (MEWMA) of set 60: 118, limit 59.0 (2.0 × limit). It averages over sets: the "
+            "change lasts."
         ),
-        "What contributes most to the chart: amplitude ratio 50 %, time of flight between the peaks 50 %.",
-        "The limit is made for 0.2 false alarms of a healthy sensor a year.",
-        "That rate is not promised here: 48 sets cannot show slow memory.",
-        "The set alone has a squared distance of 30 from the baseline (equation 16).",
+        "Largest contributions: amplitude ratio 50 %, time of flight between the peaks 50 %.",
+        "Design false-alarm rate: 0.2 per transducer-year, not verified: 48 sets cannot show slow memory.",
+        "Distance squared of set 60 alone: 30.0 (equation 16).",
     ]
-    promised = {**CHART, "rate_not_verified_reason": None, "rate_verified": True}
-    assert not any("not promised" in sentence for sentence in describe_evidence("wall_change", promised))
+    verified = {**CHART, "rate_not_verified_reason": None, "rate_verified": True}
+    assert "Design false-alarm rate: 0.2 per transducer-year, verified." in describe_evidence(
+        "wall_change", verified
+    )
 
 
 MOST_LISTED: dict[str, str] = {
     "wall_change": """
-        Set 49 lies at a squared distance of 48.6 from the baseline, 2 times the limit of 24.3.
-        What contributes most to the distance: amplitude ratio 80 %, time of flight between the peaks 50 %.
-        The distance counts how far the five features lie from the baseline's mean, in units of their own
-        scatter there (equation 16); the limit is the predictive F limit for a new set of a healthy wall.
-        The alarm takes 3 of the last 5 judged sets beyond the limit.""",
+        Distance squared of set 49 to the baseline: 48.6, limit 24.3 (2.0 × limit).
+        Limit: the predictive F limit for a new set of a healthy wall.
+        Largest contributions: amplitude ratio 80 %, time of flight between the peaks 50 %.
+        Distance: five features against the baseline's mean, in units of the baseline's scatter (equation 16).
+        Alarm rule: 3 of the last 5 assessed sets above the limit.""",
     "thickness_low": """
-        Set 40 reads a wall of 5.600 mm, 0.115 mm (2.0 %) below the limit of 5.715 mm.
-        With 95 % confidence the mean under the beam is 5.500 mm to 5.700 mm thick, its roughness is about
-        21 µm RMS.
-        The echo took 9.900 µs, at the beginning 10.150 µs; less the probe's delay of 8.000 µs of both, the
-        wall has thinned in this proportion (equation 17).
-        The alarm takes 3 of the last 5 readings beyond the limit.""",
+        Wall thickness of set 40: 5.60 mm, limit 5.71 mm (0.115 mm, 2.0 % below).
+        95 % confidence interval of the mean under the beam: 5.50 to 5.70 mm, roughness about 21 µm RMS.
+        Travel time 9.900 µs, reference 10.150 µs, delay of the probe 8.000 µs in both (equation 17).
+        Alarm rule: 3 of the last 5 readings below the limit.""",
     "no_reflection": """
-        Set 12 has 9 shots without a reflected wave.
-        The alarm takes 7 such shots in a set, 2 sets running.""",
-    "few_valid_shots": "2 sets running, the last one set 8, have fewer than 7 valid shots.",
-    "transducer_disabled": "A person commanded it (command 5); the message states who and why.",
-    "instruments_unavailable": "In set 3 the instruments' driver raised ConnectionLostError.",
-    "data_corrupt": "c.h5: is gone. Set aside, damaged and without rows: a.h5, b.h5.",
+        Shots without a reflected wave in set 12: 9 of 10.
+        Alarm rule: 7 such shots in each of 2 consecutive sets.""",
+    "few_valid_shots": "Consecutive sets with fewer than 7 valid shots: 2, the last is set 8.",
+    "transducer_disabled": "Commanded by ann (command 5).",
+    "instruments_unavailable": "Error of the driver in set 3: ConnectionLostError.",
+    "data_corrupt": "c.h5: is gone. In quarantine, corrupt and without rows: a.h5, b.h5.",
     "supply_current_limit": """
-        The supply's newest reading (good, 0 s old) tells its output as on.
-        Since the set before, its voltage was 9.50 V in the mean (9.00 to 10.00 V).
-        Since the set before, its current was 200.00 mA in the mean (190.00 to 210.00 mA).
-        120.0 C have flowed since hour 0.""",
+        Newest reading of the supply (good, 0 s old): output on.
+        Voltage since the set before: mean 9.50 V, 9.00 to 10.00 V.
+        Current since the set before: mean 200.00 mA, 190.00 to 210.00 mA.
+        Charge since hour 0: 120.0 C.""",
     "disk_space": "",
 }
 
@@ -125,21 +129,21 @@ def alarm(kind, set_index=49):
 
 
 def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name():
-    when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
+    when = "Raised with set 49 at hour 24.50; computed by extractor 3."
     assert build_evidence_sentences(alarm("wall_change"))[-1] == when
     of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
     first, *others = build_evidence_sentences(alarm("wall_change"), {2: of_c, 3: of_d})
-    assert first.startswith("Set 49 lies at a squared distance of 48.6 from C-baseline-1, 2 times")
+    assert first.startswith("Distance squared of set 49 to C-baseline-1: 48.6, limit 24.3 (2.0 × limit).")
     assert others == build_evidence_sentences(alarm("wall_change"))[1:]
-    assert build_evidence_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
+    assert build_evidence_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50."]
 
 
 def test_the_evidence_names_a_questionable_baseline_and_its_anomalies():
     named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
     doubtful = frozen_baseline("C", baseline_quality={"named": named})
     assert build_evidence_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
-        "C-baseline-1, which the set is compared with, is doubtful: sets 3, 4 lie together, away from the "
-        "others; a trend over the whole of it."
+        "Questionable baseline C-baseline-1: sets 3, 4 form a group apart from the others; a trend over the "
+        "complete baseline."
     )
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from support.invented_rows import condition
 
 from daq_service.alarms.operator_actions import acknowledge_alarm, reset_alarm
-from daq_service.alarms.states import Moment, find_disabled, update_alarm
+from daq_service.alarms.states import Moment, find_alarm, find_disabled, index_alarm, update_alarm
 from daq_service.catalogue.rows import AlarmRow
 
 
@@ -45,21 +45,71 @@ def test_a_cleared_alarm_waits_for_its_acknowledgement():
     assert (seen.row.state, seen.row.acknowledged_by, seen.row.note) == ("normal", "ann", "looked at it")
 
 
+WALL = {"diagnosis": "wall", "diagnosis_probability": 0.99}
+
+
+def test_one_fault_stays_one_alarm_when_its_diagnosis_changes():
+    wall = replace(raised(), id=7)
+    transducer = {"kind": "transducer_change", "alarm_class": "diagnostic", "priority": "medium"}
+    sensor = {"evidence": {"diagnosis": "sensor", "diagnosis_probability": 0.951}}
+    alarms = {("B", "wall_change"): replace(wall, state="acknowledged")}
+    found = find_alarm(alarms, condition(**transducer))
+    change = update_alarm(found, condition(**transducer, **sensor), moment(5))
+    row = change.row
+    assert (row.id, row.kind, row.alarm_class, row.state) == (
+        7,
+        *list(transducer.values())[:2],
+        "acknowledged",
+    )
+    assert row.priority == "high", "the highest until it is acknowledged"
+    assert row.message.startswith("B: signal change, probable transducer fault (model: 95 %)")
+    index_alarm(alarms, row)
+    assert list(alarms.values()) == [row]
+    # Back to the wall it needs an operator again, also out of service.
+    out = replace(row, suppressed="out_of_service")
+    index_alarm(alarms, out)
+    assert find_alarm(alarms, condition()) is out
+    change = update_alarm(out, condition(), moment(6))
+    assert (change.event_kind, change.row.id, change.row.kind) == ("alarm_priority_raised", 7, "wall_change")
+    assert (change.row.state, change.row.suppressed) == ("unacknowledged", None)
+    # After a return to normal, another kind is another alarm.
+    over = {("B", "wall_change"): replace(wall, state="normal")}
+    assert find_alarm(over, condition(**transducer)) is None
+
+
+def test_a_verified_trip_corrects_its_message_once():
+    trip = {
+        "position": None,
+        "kind": "interlock_tripped",
+        "alarm_class": "diagnostic",
+        "priority": "critical",
+    }
+    row = raised(**trip, evidence={"trip_reason": "hole at B", "unverified": True})
+    assert row.message.startswith("Supply trip sent, output may still be ON. Hole at B (hour ")
+    verified = condition(**trip, evidence={"trip_reason": "hole at B", "unverified": None})
+    change = update_alarm(row, verified, moment(2))
+    assert change.row.message.startswith("Supply tripped by interlock, output off. Hole at B (hour ")
+    assert change.row.state == row.state
+    assert update_alarm(change.row, verified, moment(3)) is None
+
+
 def test_a_reactivated_alarm_needs_a_new_acknowledgement_and_has_the_present_message():
     cleared = changed(raised(evidence={"limit": 24.3}, priority="medium"), False, 4)
-    again = changed(cleared.row, True, 5, message="WALL (99 %)", known="wall", evidence={"limit": 25.0})
+    again = changed(cleared.row, True, 5, known="wall", evidence={"limit": 25.0} | WALL)
     assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_reactivated")
-    assert (again.row.message, again.row.priority) == ("WALL (99 %)", "high")
-    assert again.row.evidence == {"limit": 25.0, "known": "wall"}
+    assert again.row.message.startswith("B: signal change, probable wall thinning (model: 99 %) (hour ")
+    assert again.row.priority == "high"
+    assert again.row.evidence == {"limit": 25.0, "known": "wall"} | WALL
 
 
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged"])
 def test_an_active_alarm_reports_its_diagnosis_once(state):
     row = replace(raised(evidence={"diagnosis": "undetermined"}), state=state, suppressed="shelved")
-    named = condition(True, message="WALL (99 %)", known="wall", evidence={"diagnosis": "wall"})
+    named = condition(True, known="wall", evidence=WALL)
     change = update_alarm(row, named, moment(9))
     assert (change.event_kind, change.row.state) == ("alarm_priority_raised", "unacknowledged")
-    assert (change.row.message, change.row.evidence["diagnosis"]) == ("WALL (99 %)", "wall")
+    assert "probable wall thinning (model: 99 %)" in change.row.message
+    assert change.row.evidence["diagnosis"] == "wall"
     assert change.row.suppressed is None, "it was shelved for what was known then"
     # No second event, also if the diagnosis is undetermined for a while.
     for later in (named, condition(True), named):
@@ -127,7 +177,8 @@ def test_an_alarm_is_active_while_its_condition_is_present_or_unacknowledged(his
 
 
 def active_alarm(position, kind, state="unacknowledged"):
-    return replace(raised(position=position, kind=kind, message=f"{kind} at {position}"), state=state)
+    row = raised(position=position, kind=kind)
+    return replace(row, message=f"{kind} at {position}", state=state)
 
 
 HOLE, DISABLED = "no_reflection", "transducer_disabled"

@@ -10,6 +10,7 @@ from daq_service.alarms.operator_actions import (
     end_expired_shelf,
     end_suppression,
     remove_expired_shelf,
+    report_overdue_response,
     shelve,
     take_out_of_service,
 )
@@ -94,3 +95,16 @@ def test_an_invalid_suppression_is_rejected_with_its_reason():
         shelve(replace(raised(), state="normal"), "ann", "known", 1.0, at(4.0), WALL_NS)
     with pytest.raises(ValueError, match="is not shelved"):
         end_suppression(raised(), "shelved", "ann", "", at(4.0))
+
+
+@pytest.mark.parametrize(("priority", "within_h"), [("critical", 0.25), ("high", 8.0), ("medium", 24.0)])
+def test_an_unacknowledged_alarm_is_reported_again_after_each_time_to_respond(priority, within_h):
+    row = replace(raised(), priority=priority)
+    assert report_overdue_response(row, at(0.99 + within_h)) is None
+    change = report_overdue_response(row, at(1.0 + within_h))
+    assert (change.event_kind, change.row.state) == ("alarm_response_overdue", "unacknowledged")
+    assert report_overdue_response(change.row, at(1.0 + 1.9 * within_h)) is None
+    assert report_overdue_response(change.row, at(1.0 + 2.0 * within_h)) is not None
+    seen = acknowledge_alarm(row, "ann", "", at(2.0)).row
+    for silent in (seen, replace(row, suppressed="shelved"), replace(row, state="returned_unacknowledged")):
+        assert report_overdue_response(silent, at(1.0 + 9.0 * within_h)) is None

@@ -17,7 +17,7 @@ from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, ST
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.evidence import describe_evidence
 from daq_service.assessment.diagnosis_texts import build_diagnosis_details, format_diagnosis
-from daq_service.assessment.solitary_wave import build_conditions
+from daq_service.assessment.solitary_wave import build_change_condition
 from daq_service.recording.set_assessor import find_changed_state_rows
 
 LAST, SETS = 59, 100
@@ -82,18 +82,23 @@ def row_of(assessment):
     )
 
 
+HEADLINES = {SENSOR: "transducer fault", WALL: "wall thinning"}
+
+
 @pytest.mark.parametrize(
     ("cause", "raised"), [(OK, set()), (SENSOR, {"transducer_change"}), (WALL, {"wall_change"})]
 )
 def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
     state, assessment = run(CHANGES[cause])
     assert assessment.cause.cause == cause
-    found = build_conditions("B", state, RULES, row_of(assessment))
-    assert {item.kind for item in found if item.present} == raised
-    for item in found:
-        if item.present:
-            assert f"{cause.upper()} (" in item.message
-            assert any("What to do:" in sentence for sentence in describe_evidence(item.kind, item.evidence))
+    found = build_change_condition("B", state, RULES, row_of(assessment))
+    assert ({found.kind} if found.present else set()) == raised
+    if found.present:
+        texts = found.build_texts(99.0)
+        assert texts.headline.startswith(f"B: signal change, probable {HEADLINES[cause]} (model: ")
+        assert texts.message.endswith(texts.action)
+        lines = describe_evidence(found.kind, found.evidence)
+        assert any(f"{cause.upper()} " in line for line in lines if line.startswith("Probabilities"))
 
 
 def origins(causes, n=5):
@@ -148,12 +153,12 @@ def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
     row = replace(row_of(assessment), diagnosis=UNDETERMINED)
-    assert [item.present for item in build_conditions("B", state, RULES, row)] == [True, False]
-    # Without a cause, as in a folder of an earlier version, the message is the old one.
-    row = replace(row, diagnosis=None, diagnosis_probability=None, diagnosis_details=None)
-    wall, transducer = build_conditions("B", state, RULES, row)
-    assert (wall.present, transducer.present) == (True, False)
-    assert wall.message.endswith("wall or transducer has changed; inspect")
+    # Without a cause, as in a folder of an earlier version, the texts are the same.
+    without = replace(row, diagnosis=None, diagnosis_probability=None, diagnosis_details=None)
+    for item in (row, without):
+        wall = build_change_condition("B", state, RULES, item)
+        assert (wall.kind, wall.present) == ("wall_change", True)
+        assert wall.build_texts(99.0).headline == "B: signal change, cause undetermined"
 
 
 def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
@@ -163,25 +168,24 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     healthy, row = replace(state, memory=quiet), row_of(assessment)
     named = replace(healthy, diagnosis_state=replace(state.diagnosis_state, wall=True))
     wall_row = replace(row, diagnosis=WALL, diagnosis_probability=0.97)
-    assert not build_conditions("B", healthy, chart, row)[0].present
-    wall, transducer = build_conditions("B", named, chart, wall_row)
-    assert (wall.present, transducer.present) == (True, False)
-    assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
+    assert not build_change_condition("B", healthy, chart, row).present
+    wall = build_change_condition("B", named, chart, wall_row)
+    assert (wall.kind, wall.present) == ("wall_change", True)
     assert wall.evidence["raised_by"] == "diagnosis"
     assert any(
-        "not the chart that raised the alarm" in sentence
+        "Raised by the diagnosis: WALL in two consecutive sets" in sentence
         for sentence in describe_evidence(wall.kind, wall.evidence)
     )
     # An undetermined diagnosis does not reverse it, only a healthy set does.
     unsure = replace(wall_row, diagnosis=UNDETERMINED)
-    assert build_conditions("B", named, chart, unsure)[0].present
+    assert build_change_condition("B", named, chart, unsure).present
     # If k of n sets decide, nothing else does.
-    assert not build_conditions("B", named, RULES, wall_row)[0].present
+    assert not build_change_condition("B", named, RULES, wall_row).present
     alarming = replace(named, memory=replace(quiet, alarming=True))
-    by_chart = build_conditions("B", alarming, chart, wall_row)[0]
+    by_chart = build_change_condition("B", alarming, chart, wall_row)
     assert by_chart.evidence["raised_by"] == "mewma"
     assert not any(
-        "not the chart" in sentence for sentence in describe_evidence(by_chart.kind, by_chart.evidence)
+        "Raised by" in sentence for sentence in describe_evidence(by_chart.kind, by_chart.evidence)
     )
 
 
@@ -215,9 +219,9 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     struck_after, found = LAST + 25, sets(change)
     state, alone = run(change, until=struck_after + 1)
     assert alone.cause.cause == UNDETERMINED
-    assert "abrupt: inspect the contact" in build_diagnosis_details(alone.cause)["action"]
+    assert "check the chain contact" in build_diagnosis_details(alone.cause)["action"]
     assert format_diagnosis(UNDETERMINED, 0.8, build_diagnosis_details(alone.cause)).startswith(
-        "UNDETERMINED: something has"
+        "UNDETERMINED: the waves have changed from one set to the next"
     )
     design, values = state.baseline.causes, found[struck_after].values
     memory, confirmed = diagnose_confirmation(state.diagnosis_state, design, values)
@@ -225,5 +229,6 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     confirmed_state = restarted(replace(state, diagnosis_state=memory))
     state, assessment = run(change, state=confirmed_state, since=struck_after + 1)
     assert assessment.cause.cause == COUPLING
-    wall, transducer = build_conditions("B", state, RULES, row_of(assessment))
-    assert (wall.present, transducer.present) == (False, True)
+    found = build_change_condition("B", state, RULES, row_of(assessment))
+    assert (found.kind, found.present) == ("transducer_change", True)
+    assert found.build_texts(99.0).action.startswith("Re-seat the chain; measure the wall before")

@@ -95,7 +95,7 @@ def test_a_diagnosis_other_than_ok_has_its_own_line(filled):
         }
     lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("result")]
     assert lines == [
-        f"result  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
+        f"result  B, set {SETS - 1}: WALL (model: 97 %): the wave has changed; inspect",
         f"result  C, set {SETS - 1}: UNDETERMINED: the wave has changed; inspect",
     ]
 
@@ -125,11 +125,11 @@ def test_status_lists_alarms_with_state_and_age(filled):
     )
     lines = status_of(filled)
     assert line_of(lines, "alarms") == "alarms  2"
-    assert line_of(lines, " 1") == " 1  high  B  unacknowledged  30 min  wall_change: 3 of the last 5 sets"
-    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  no_reflection: a hole"
+    assert line_of(lines, " 1") == " 1  high  B  unacknowledged  30 min  3 of the last 5 sets"
+    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  a hole"
     assert line_of(lines, " B").startswith(" B  alarm")
     assert line_of(lines, " C").startswith(" C  disabled")
-    assert line_of(lines, "wall_change: checks: 1 the control position")
+    assert line_of(lines, "Checks, wall change: 1. Does the control position change")
     filled.shelve(1, "a known leak", for_h=8.0)
     lines = status_of(filled)
     assert line_of(lines, "alarms") == "alarms  1, 1 shelved or out of service"
@@ -196,8 +196,8 @@ def test_status_shows_the_result_of_the_last_confirmation_set(filled):
     assert ((last["set_index"], last["unscheduled_index"]), last["age_h"]) == (set_key, 0.0)
     assert line_of(status_lines(facts), "confirm") == (
         "confirm  1 confirmation sets; left today: B 2, C 1, D 2. The last was at C. "
-        "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
-        "24.3, lies where the planned sets before it do."
+        "Confirmed by the set of 2024-01-02T01:01:00Z (hour 25.02), distance squared 400, above the limit of "
+        "24.3: it agrees with the scheduled sets before it."
     )
 
 
@@ -222,7 +222,7 @@ def test_status_shows_the_quality_of_each_baseline(filled):
     lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("baseline")]
     assert lines == [
         "baseline  B, C: 0.2 false alarms per transducer-year, not verified: 48 sets cannot show slow memory",
-        "baseline  D: QUESTIONABLE: set 6 lies alone, away from the others; a trend over the whole of it",
+        "baseline  D: QUESTIONABLE: set 6 is an outlier; a trend over the complete baseline",
         "baseline  D: 0.2 false alarms per transducer-year, verified",
     ]
 

@@ -170,7 +170,7 @@ def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench):
 def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(bench):
     """The condition has not returned to normal: the reference of the assessment is retired."""
     moment = Moment(utc_ns=0, due_h=HOUR, set_index=7)
-    for position, kind in [("B", "wall_change"), ("B", "transducer_change"), ("C", "wall_change")]:
+    for position, kind in [("B", "wall_change"), ("B", "not_assessed"), ("C", "wall_change")]:
         bench.ledger.update_alarm(condition(position=position, kind=kind), moment)
     seen = bench.catalogue.add_command("bob", "acknowledge_alarm", {"alarm_id": 2, "note": "a worn sensor"})
     bench.listener.execute_open_commands()
@@ -310,7 +310,7 @@ def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench):
     assert again == ("rejected", "there is no alarm 99")
     for hour, suppressed in [(7.9, "shelved"), (8.1, None)]:
         now_ns = bench.clock.utc_ns() + round(hour * NS_PER_H)
-        bench.ledger.expire_shelves(Moment(utc_ns=now_ns, due_h=HOUR + hour, set_index=None))
+        bench.ledger.update_alarms_by_time(Moment(utc_ns=now_ns, due_h=HOUR + hour, set_index=None))
         (row,) = bench.catalogue.rows(AlarmRow)
         assert (row.suppressed, row.state) == (suppressed, "unacknowledged")
     assert bench.catalogue.rows(EventRow)[-1].kind == "alarm_shelf_expired"
@@ -343,17 +343,29 @@ def test_pending_commands_are_executed_in_order(bench):
 
 def test_a_transducer_is_disabled_and_enabled(bench):
     assert bench.execute("disable", position="B", note="coil is hot") == ("done", "B is disabled")
-    assert bench.ledger.disabled() == {"B": "disabled by ann: coil is hot"}
+    assert bench.ledger.disabled() == {
+        "B": "B: transducer disabled, wall not monitored. By ann: coil is hot (hour 3.5). "
+        "Fix the stated cause, then run `solimon enable`."
+    }
     (event,) = bench.catalogue.read_events_after(0, {"alarms"})
-    assert (event.kind, event.payload["evidence"]) == ("alarm_raised", {"command_id": 1})
+    assert (event.kind, event.payload["evidence"]) == (
+        "alarm_raised",
+        {"command_id": 1, "author": "ann", "note": "coil is hot"},
+    )
     assert event.payload["raised_h"] == HOUR
     assert bench.execute("strike", position="B") == ("rejected", "B is disabled")
     bench.restart()
-    assert bench.ledger.disabled() == {"B": "disabled by ann: coil is hot"}
+    assert bench.ledger.disabled() == {
+        "B": "B: transducer disabled, wall not monitored. By ann: coil is hot (hour 3.5). "
+        "Fix the stated cause, then run `solimon enable`."
+    }
     assert bench.execute("enable", position="B") == ("done", "B strikes again from the next set")
     assert bench.ledger.disabled() == {}
     bench.execute("disable", position="C")
-    assert bench.ledger.disabled() == {"C": "disabled by ann: no reason given"}
+    assert bench.ledger.disabled() == {
+        "C": "C: transducer disabled, wall not monitored. By ann: no reason given (hour 3.5). "
+        "Fix the stated cause, then run `solimon enable`."
+    }
 
 
 def test_an_alarm_is_acknowledged_once(bench):

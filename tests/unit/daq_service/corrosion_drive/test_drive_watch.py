@@ -43,7 +43,7 @@ class EmptyCatalogue:
 
 def trip_alarm(*, acknowledged=False):
     """Return the stored alarm of a tripped interlock."""
-    tripped = condition(position=None, kind="interlock_tripped", message="hole at B")
+    tripped = condition(position=None, kind="interlock_tripped", evidence={"trip_reason": "hole at B"})
     row = update_alarm(None, tripped, MOMENT).row
     return acknowledge_alarm(row, "Ada", "", MOMENT).row if acknowledged else row
 

@@ -141,7 +141,7 @@ def test_an_unwatched_supply_is_switched_off_once_and_released(bench):
     assert bench.process.leaves
     kept = read_stored_state(bench.folder)
     assert (kept.output, kept.state.command) == ("off", None)
-    assert kept.state.tripped.startswith("no recorder was heard for 600 s")
+    assert kept.state.tripped.startswith("no recorder heartbeat for 600 s")
     # The next recorder finds it in the next process, and only a person's order ends it.
     bench.restart()
     bench.run(5.0)
@@ -359,7 +359,7 @@ def test_the_process_switches_the_supply_off_when_it_ends(bench):
     bench.process.end()
     assert not bench.supply.on
     kept = read_stored_state(bench.folder)
-    assert kept.state.tripped == "the process of the drive was stopped, and no other one watches"
+    assert kept.state.tripped == "the supply process was stopped, no other one supervises the output"
 
 
 @pytest.mark.parametrize("ending", [SystemExit(0), KeyboardInterrupt()], ids=repr)

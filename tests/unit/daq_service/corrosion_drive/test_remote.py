@@ -113,7 +113,7 @@ class Bench:
         pytest.fail("never answered")
 
     def active(self):
-        return {found.name: found.message for found in self.remote.list_conditions() if found.active}
+        return {found.name: found.values for found in self.remote.list_conditions() if found.active}
 
 
 @pytest.fixture
@@ -174,7 +174,7 @@ def test_a_missing_first_response_raises_an_alarm_after_a_while(bench):
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
     assert bench.active() == {}
     bench.now_s += COMES_WITHIN_S
-    assert "Its process has not answered" in bench.active()["supply_not_responding"]
+    assert bench.active()["supply_not_responding"]["read_error"] == "its process does not respond"
 
 
 def test_a_missing_process_gives_an_unknown_state_with_its_age(bench):
@@ -204,10 +204,12 @@ def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench):
     assert bench.remote.build_row(0, 0.0).supply_tripped == "hole at B"
     assert bench.supply.on
     assert {"interlock_tripped", "supply_switch_off_pending"} <= bench.active().keys()
+    assert bench.active()["interlock_tripped"]["unverified"] is True
     bench.comes_up()
     bench.wait_for_row(supply_state="off", supply_tripped="hole at B")
     assert not bench.supply.on
     assert list(bench.active()) == ["interlock_tripped"]
+    assert bench.active()["interlock_tripped"]["unverified"] is None
 
 
 @pytest.mark.parametrize("command", ["energise", "switch_off"])

@@ -126,7 +126,7 @@ def raise_in_its_absence(line):
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         moment = Moment(utc_ns=0, due_h=0.0, set_index=None)
-        change = update_alarm(None, build_recorder_condition("3 restarts in 10 min", 0.0), moment)
+        change = update_alarm(None, build_recorder_condition("3 restarts in 10 min"), moment)
         catalogue.commit_set(SetCommit(alarms=[change.row]))
 
 

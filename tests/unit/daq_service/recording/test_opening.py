@@ -20,7 +20,10 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 GONE = ConnectionLostError("the chassis is gone; switch it on")
 MOMENT = Moment(utc_ns=2 * NS_PER_H, due_h=2.0, set_index=None)
-WHY = f"the rig cannot be opened: {GONE}; the recorder tries again until it can"
+WHY = (
+    f"Instruments not responding, sets are missed. {str(GONE).capitalize()} (hour 2.0). "
+    "Check power, cables and other programs; run `solimon doctor`."
+)
 
 
 class Opener:
@@ -79,7 +82,7 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     assert (rig, did) == ("the rig", f"the recorder waited for the rig: {GONE}")
     assert seen == [("running", False, 0), *[("running", False, 1)] * 3]
     (row,) = opener.alarms
-    assert (row.message, row.evidence) == (WHY, {"error": "ConnectionLostError"})
+    assert (row.message, row.evidence) == (WHY, {"error": "ConnectionLostError", "error_message": str(GONE)})
     assert row.state == "returned_unacknowledged"
     assert opener.reports == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
     assert opener.heartbeat.stage == ""

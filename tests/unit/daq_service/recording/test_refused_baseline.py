@@ -69,7 +69,8 @@ def test_an_alarm_is_active_until_the_baseline_is_retired(line):
         "medium",
         LAST,
     )
-    assert row.message == f"nothing is judged at B: {REASON}"
+    assert row.message.startswith("B: wall not monitored, baseline has no limits. A baseline of 14 sets; it")
+    assert row.evidence["reason"] == REASON
     history = [build_transition(event) for event in line.rows("events") if event.topic == "alarms"]
     assert [(event["kind"], event["author"], event["reason"]) for event in history] == [
         ("alarm_raised", None, row.message),

@@ -142,7 +142,7 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
         "diagnostic",
         "returned_unacknowledged",
     )
-    assert "is before what was stored last (2024-01-01T0" in alarm.message
+    assert "is before what was stored last (2024-01-01T0" in alarm.evidence["reason"]
     assert laboratory.event_payloads("clock_step") == []
     assert [payload["ahead_s"] for payload in laboratory.event_payloads("clock_believed")] == [0.0]
 
@@ -178,8 +178,8 @@ def test_100_h_later_an_unsynchronised_clock_is_doubted_until_it_is_synchronised
     assert rows_meanwhile == [4], "no gap row while it is doubted"
     assert_every_set_once_in_order(laboratory)
     (alarm,) = laboratory.line.alarms()
-    assert "100 h after what was stored last" in alarm.message
-    assert "clock.doubt_after_h = 72 h" in alarm.message
+    assert "100 h after what was stored last" in alarm.evidence["reason"]
+    assert "clock.doubt_after_h = 72 h" in alarm.evidence["reason"]
     assert alarm.state == "returned_unacknowledged"
 
 

@@ -71,7 +71,7 @@ def test_numbers_are_short(value, text):
 def test_each_key_has_its_description_once():
     places = {name: {"method": "solitary_wave", "label": name} for name in "BC"}
     text = format_commented_toml({"positions": places, "alarms": {"k": 3}})
-    assert describe_key(["alarms", "k"]) == "Outliers among the last `n` judged sets that raise the alarm."
+    assert describe_key(["alarms", "k"]) == "Outliers among the last `n` assessed sets that raise the alarm."
     assert text.count(f"k = 3{'':<35}# {describe_key(['alarms', 'k'])}\n") == 1
     assert text.count("# When an outlier becomes an alarm.\n[alarms]\n") == 1
     assert text.count(describe_key(["positions", "B", "label"])) == 1

@@ -43,15 +43,16 @@ def changes(message):
 def test_an_alarm_message_has_units_age_quality_and_guidance(make_bench):
     bench = make_bench()
     evidence = {"set_index": 72, "distance_squared": 41.2, "limit": 24.3, "rule": {"k": 3, "n": 5}}
-    event_id = bench.alarms.change(message="3 of 5 sets lie beyond the limit", evidence=evidence)
+    event_id = bench.alarms.change(evidence=evidence)
     bench.mono_s += 240.0
     (message,) = bench.run()
-    assert message.title == "HIGH wall_change at B has come - test"
+    assert message.title == "[HIGH] B: signal change, cause undetermined - test"
     assert message.text == (
-        "HIGH wall_change at B has come: 3 of 5 sets lie beyond the limit. First raised at hour 36.00 of the "
-        "test, set 72, quality unknown. This change is of 1970-01-02T12:00:00Z and was stored 4.0 min ago. "
-        "Set 72 lies at a squared distance of 41.2 from the baseline, 1.7 times the limit of 24.3. "
-        "Look first: Does the control position move, too? Then which feature contributes; temperature."
+        "[HIGH] B: signal change, cause undetermined. Distance squared "
+        "41.2, limit 24.3 (hour 36.0). Compare with the control position, then inspect the wall. "
+        "Event: raised, 1970-01-02T12:00:00Z, stored 4.0 min ago. First raised at hour 36.0, set 72, quality "
+        "unknown. Distance squared of set 72 to the baseline: 41.2, limit 24.3 (1.7 × limit). "
+        "Respond within 8.0 h. Contact: the person responsible for the wall."
     )
     assert message.key.endswith(f".duty.{event_id}")
     assert message.facts["priority"] == "high"
@@ -85,7 +86,9 @@ def test_each_automatic_state_change_of_an_alarm_is_sent(make_bench):
     bench.alarms.change("no_reflection", latched=True)
     bench.alarms.reset("no_reflection")
     sent_changes = [change for message in bench.run(1.0) for _, change in changes(message)]
-    assert sent_changes == ["raised", "worse", "over", "back", "raised", "over"]
+    assert sent_changes == [
+        *("raised", "priority raised", "returned to normal", "active again", "raised", "reset"),
+    ]
 
 
 def test_the_return_to_normal_is_not_sent_if_not_configured(make_bench):
@@ -106,7 +109,7 @@ def test_an_alarm_that_returns_to_normal_within_its_delay_is_not_sent(make_bench
     assert line.event_ids == [1, 2]
     bench.alarms.change()  # it is active again, and stays
     assert bench.run(59.0) == []
-    assert [changes(message) for message in bench.run(2.0)] == [[("wall_change", "back")]]
+    assert [changes(message) for message in bench.run(2.0)] == [[("wall_change", "active again")]]
 
 
 def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(make_bench):
@@ -116,7 +119,7 @@ def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(make_
     bench.alarms.change(priority="high")
     bench.alarms.change(priority="high", present=False)
     sent_changes = [change for message in bench.run(120.0) for _, change in changes(message)]
-    assert sent_changes == ["over", "worse"]
+    assert sent_changes == ["returned to normal", "priority raised"]
 
 
 def test_a_storm_is_one_message_with_its_counts(make_bench):
@@ -126,11 +129,17 @@ def test_a_storm_is_one_message_with_its_counts(make_bench):
     bench.alarms.change(position="P0", priority="medium", present=False)
     assert bench.run(9.0) == []
     (message,) = bench.run(2.0)
-    assert message.title == "26 changes of alarms: 1 critical raised, 24 medium raised, 1 medium over - test"
-    assert message.facts["counts"] == {"critical raised": 1, "medium raised": 24, "medium over": 1}
+    assert message.title == (
+        "[CRITICAL] 26 alarm changes: 1 critical raised, 24 medium raised, 1 medium returned to normal - test"
+    )
+    assert message.facts["counts"] == {
+        "critical raised": 1,
+        "medium raised": 24,
+        "medium returned to normal": 1,
+    }
     assert len(message.facts["alarms"]) == MOST_LISTED
     assert message.facts["not_shown"] == 6
-    assert message.text.endswith("And 6 more: 5 medium raised, 1 medium over.")
+    assert message.text.endswith("And 6 more: 5 medium raised, 1 medium returned to normal.")
 
 
 # A restart
@@ -340,9 +349,7 @@ def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recor
     monkeypatch.setattr(bench.line._source, "read_heartbeat_facts", lambda: facts)
     (beat,) = bench.run(30.0)
     assert beat.kind == "heartbeat"
-    assert beat.text == (
-        "The recorder is running (running, waiting); the last set is 15.0 min old on the test's clock."
-    )
+    assert beat.text == "Recorder running (running, waiting); last set 15.0 min ago (test time)."
     assert len(bench.run(60.0)) == 2
     facts["recorder"] = "not_responding"
     assert bench.run(300.0) == []
@@ -388,7 +395,7 @@ def test_a_test_message_is_marked_and_moves_no_cursor(make_bench):
     (message,) = bench.sent
     assert message.kind == "test"
     assert message.title.startswith("TEST, no alarm")
-    assert message.text.startswith("ann tries whether duty is reached")
+    assert message.text == "Test message to duty by ann. No action is needed."
     assert len(bench.run()) == 1
 
 

@@ -18,9 +18,10 @@ ROW = alarm_row(id=3)
         ("alarm_raised", None, "raised"),
         ("alarm_raised", "shelved", None),
         ("alarm_reactivated", "out_of_service", None),
-        ("alarm_shelf_expired", None, "back"),
-        ("alarm_cleared", "shelved", "over"),
+        ("alarm_shelf_expired", None, "active again"),
+        ("alarm_cleared", "shelved", "returned to normal"),
         ("alarm_shelved", "shelved", None),
+        ("alarm_response_overdue", None, "reminder"),
     ],
 )
 def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what: str | None) -> None:

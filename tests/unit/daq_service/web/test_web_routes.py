@@ -317,7 +317,7 @@ def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
         (its_id,) = [number for number, name in by_id.items() if name == "C-baseline-1"]
         evidence = {"set_index": 0, "distance_squared": 30.5, "limit": LIMIT_F, "baseline_id": its_id}
         filled.add_alarm("C", 0, evidence=evidence)
-        named = "Set 0 lies at a squared distance of 30.5 from C-baseline-1, 1.26 times the limit of 24.3."
+        named = "Distance squared of set 0 to C-baseline-1: 30.5, limit 24.3 (1.3 × limit)."
         with served(filled.settings, tmp_path) as service, service.client() as api:
             assert get(api, "/api/v1/alarms/1")["evidence_sentences"][0] == named
             assert named in api.get("/api/v1/tables/alarms?format=csv").text
@@ -351,7 +351,12 @@ def test_alarm_filter_by_activity(api):
     assert get(api, "/api/v1/alarms?active=false")["items"] == []
     alarm = get(api, "/api/v1/alarms/1")
     assert alarm["evidence"]["limit"] == LIMIT_F
-    assert alarm["evidence_sentences"][0].endswith(f"1.26 times the limit of {LIMIT_F}.")
+    assert alarm["evidence_sentences"][0].endswith(f"30.5, limit {LIMIT_F} (1.3 × limit).")
+    assert (alarm["headline"], alarm["response_time_s"]) == (
+        "B: signal change, cause undetermined",
+        8 * 3600.0,
+    )
+    assert alarm["action"] == "Compare with the control position, then inspect the wall."
 
 
 @pytest.mark.parametrize(

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import logging
-import re
-import tomllib
 import warnings
-from pathlib import Path
 
 import pytest
 from nidaqmx import errors as vendor
 from nidaqmx.error_codes import DAQmxErrors
 
-from hardware_drivers.daqmx import translation
 from hardware_drivers.daqmx.translation import (
     CLASS_OF_STATUS,
     find_resource_owner,
@@ -27,8 +23,6 @@ from hardware_drivers.errors import (
     UnknownStatusError,
 )
 
-PAGE = Path(__file__).parents[4] / "docs" / "reference" / "faults-daqmx.md"
-TABLES = tomllib.loads(Path(translation.__file__).with_name("status_classes.toml").read_text("utf-8"))
 FOUR = {AcquisitionTimeoutError, BusyError, ConnectionLostError, ConfigurationError}
 
 
@@ -149,21 +143,3 @@ def test_the_message_is_one_line_with_its_remedy():
         "testing: First. Second (DAQmx -200324, DEV_ABSENT_OR_UNAVAILABLE); check power, seating and cable "
         "of board and chassis"
     )
-
-
-def rows_of_the_page():
-    row = re.compile(r"^\| (-\d+) \| `(\w+)` \| (\w+) \| (.+?) \|$", re.MULTILINE)
-    return {
-        int(code): (name, cls, text)
-        for code, name, cls, text in row.findall(PAGE.read_text(encoding="utf-8"))
-    }
-
-
-def test_the_page_of_faults_lists_every_status_of_the_tables():
-    rows = rows_of_the_page()
-    expected = {
-        int(code): (DAQmxErrors(int(code)).name, kind, text)
-        for kind, table in TABLES.items()
-        for code, text in table.items()
-    }
-    assert rows == expected

@@ -261,9 +261,9 @@ def test_a_change_alarm_is_recomputed_on_a_self_contained_page(line, tmp_path):
     page, facts = (Path(file).read_text(encoding="utf-8") for file in explanation["files"])
     assert json.loads(facts) == explanation
     assert page.count("<svg ") == 3
-    assert "from B-baseline-1, " in explanation["sentences"][0]
+    assert " to B-baseline-1: " in explanation["sentences"][0]
     assert not re.search(r"<script|<link|<img|src=|href=.http|@import", page)
-    for words in ("Set 23 lies at a squared distance", "the same set raises the same alarm", "Whom to call"):
+    for words in ("Distance squared of set 23", "the same set raises the same alarm", "Whom to call"):
         assert words in page
 
 
