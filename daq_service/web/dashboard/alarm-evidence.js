@@ -262,7 +262,6 @@ export class AlarmEvidence {
       alarms: [alarm.raised_h],
       opened: null,
       subtitle,
-      endHour: this.range[1],
       exported: kind.source ? { ...kind.source, positions: [alarm.position] } : null,
     });
     this.sets.replaceChildren(
@@ -293,6 +292,7 @@ export class AlarmEvidence {
       {
         ...this.host,
         span: () => zoom ?? this.range,
+        full: () => this.range,
         show: (to) => {
           zoom = to;
           chart.applySpan();

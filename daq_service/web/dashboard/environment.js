@@ -51,11 +51,11 @@ function group(name, quality, age_s, values, since = "before") {
 /** Show the output now, also while no recorder runs. @param {any} now */
 function supplyNow(now) {
   const output = [
-    now.quality === "good" ? now.state : `${now.state}; ${now.last} when it was read last`,
+    now.quality === "good" ? now.state : `${now.state}; last reading ${now.last}`,
     ...(now.switch_off_pending ? ["switch-off pending, output may be ON"] : []),
     ...(now.tripped === null ? [] : [`tripped: ${now.tripped}`]),
   ].join("; ");
-  return group("Supply now", now.quality, now.age_s, [["Output", output]], "ago");
+  return group("Supply (live)", now.quality, now.age_s, [["Output", output]], "ago");
 }
 
 /** @param {HTMLElement} root @param {any} answer of /environment/latest */
@@ -68,7 +68,7 @@ export function showEnvironment(root, answer) {
   if (row === null) return root.replaceChildren(...parts);
   if (row.supply_quality !== "absent") {
     const state =
-      row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
+      row.supply_tripped === null ? row.supply_state : `${row.supply_state}, tripped: ${row.supply_tripped}`;
     parts.push(
       group("Supply", row.supply_quality, row.supply_age_s, [
         ["Output", state],

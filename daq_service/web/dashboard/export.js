@@ -97,7 +97,7 @@ export function testOffer(span) {
   return {
     description: span ? "These hours, every position." : "The whole test, every position.",
     files: [
-      { title: "Report that prints", path: `/report?${query(range)}`, as: "HTML" },
+      { title: "Printable report", path: `/report?${query(range)}`, as: "HTML" },
       ...Object.entries(tables).map(([table, title]) => ({ title, path: `/tables/${table}?${query(range)}` })),
       { title: "Assessments of confirmation sets", path: `/tables/assessments?${confirmations}` },
       { title: "Features of confirmation sets", path: `/tables/features?${confirmations}` },
@@ -118,11 +118,13 @@ export function testOffer(span) {
  * @returns {Offer}
  */
 export function setOffer(position, set, file) {
-  const records = `/waveforms/${encodeURIComponent(position)}`;
+  const waveforms = `/waveforms/${encodeURIComponent(position)}`;
   return {
-    description: "The accepted records in volts; the set's own file has counts and calibration of every position.",
+    description: "The accepted waveforms in V; the set's own file has counts and calibration of every position.",
     files: [
-      ...(typeof set === "number" ? [{ title: "Records", path: `${records}?first_set=${set}&last_set=${set}` }] : []),
+      ...(typeof set === "number"
+        ? [{ title: "Waveforms", path: `${waveforms}?first_set=${set}&last_set=${set}` }]
+        : []),
       { title: "File of the set", path: `/files/${file.split("/").at(-1)}`, as: "HDF5" },
     ],
     python: [`waves = test.waveforms(${literal(position)}, ${literal(set)})`],
@@ -132,7 +134,7 @@ export function setOffer(position, set, file) {
 /** @param {string[]} lines @returns {string} */
 function program(lines) {
   return [
-    "# pip install 'solimon[client]'; a service that asks for a token finds it in SOLIMON_TOKEN",
+    "# pip install 'solimon[client]'; set SOLIMON_TOKEN if the service needs a token",
     "from daq_service import client",
     "",
     `with client.open(${literal(location.origin + BASE)}) as test:`,

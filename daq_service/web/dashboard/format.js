@@ -71,9 +71,31 @@ export function setName(key) {
   return typeof key === "string" ? `confirmation set ${key}` : `set ${key}`;
 }
 
-/** Format an RFC 3339 time as a short UTC text. @param {string | null | undefined} text */
-export function utc(text) {
-  return text ? `${text.slice(0, 10)} ${text.slice(11, 16)} UTC` : NONE;
+let local = false;
+
+/** Choose the time zone of all times on the page: that of the computer, or UTC. @param {boolean} chosen */
+export function setLocalTime(chosen) {
+  local = chosen;
+}
+
+/** Return UTC minus the chosen time. @param {number} ms since 1970, of UTC */
+export function offsetMs(ms) {
+  return local ? new Date(ms).getTimezoneOffset() * 60_000 : 0;
+}
+
+/** Format an instant as "2026-11-26 13:05 UTC", or local with its offset. @param {number} ms since 1970, of UTC */
+export function instant(ms) {
+  const offset = -offsetMs(ms);
+  const text = (/** @type {number} */ value) => new Date(value).toISOString();
+  const zone = local ? `${offset < 0 ? "-" : "+"}${text(Math.abs(offset)).slice(11, 16)}` : "UTC";
+  return `${text(ms + offset)
+    .slice(0, 16)
+    .replace("T", " ")} ${zone}`;
+}
+
+/** Format an RFC 3339 time in the chosen time zone. @param {string | null | undefined} text */
+export function time(text) {
+  return text ? instant(Date.parse(text)) : NONE;
 }
 
 /**
@@ -88,7 +110,9 @@ export function ageText(standing, data, sinceS) {
   const elapsedH = standing.clock === "wall" ? sinceS / 3600 : 0;
   const last =
     data.data_h === null
-      ? "nothing measured yet"
+      ? "no data yet"
       : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + elapsedH, 1)} h old`;
-  return `${data.stale ? "Stale: " : ""}${last} · written ${wall}`;
+  return `${data.stale ? "Stale: " : ""}${last} · updated ${wall}`;
 }
+
+export { time as utc };

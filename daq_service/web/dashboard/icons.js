@@ -42,8 +42,8 @@ export function icon(name) {
 /** @type {Record<string, Look>} */
 export const STATES = {
   no_data: { label: "No data", icon: "dash", tone: "" },
-  collecting_baseline: { label: "Learning baseline", icon: "dots", tone: "info" },
-  not_assessed: { label: "Not judged", icon: "triangle", tone: "warn" },
+  collecting_baseline: { label: "Collecting baseline", icon: "dots", tone: "info" },
+  not_assessed: { label: "Not assessed", icon: "triangle", tone: "warn" },
   normal: { label: "Normal", icon: "check", tone: "good" },
   outlier: { label: "Outlier", icon: "triangle", tone: "warn" },
   shelved: { label: "Shelved", icon: "pause", tone: "warn" },
@@ -57,8 +57,8 @@ export const RECORDER = {
   running: { label: "Live", icon: "check", tone: "good" },
   finished: { label: "Test finished", icon: "flag", tone: "info" },
   stopped: { label: "Recorder stopped", icon: "stop", tone: "warn" },
-  not_responding: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
-  not_started: { label: "Recorder absent", icon: "triangle", tone: "warn" },
+  not_responding: { label: "Recorder not responding", icon: "triangle", tone: "alarm" },
+  not_started: { label: "Recorder not started", icon: "triangle", tone: "warn" },
 };
 
 /** @type {Record<string, Look>} */

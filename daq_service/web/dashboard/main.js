@@ -19,7 +19,8 @@ import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
 import { UpdateFailure } from "./update-failure.js";
 import { tiles } from "./startup.js";
-import { hour, setKey, significant, utc } from "./format.js";
+import { hour, setKey, setLocalTime, significant, time } from "./format.js";
+import { rankActive, showHeadline } from "./headline.js";
 import { PauseControl } from "./pause.js";
 import { RECORDER, chip } from "./icons.js";
 import { waitForLogin } from "./login.js";
@@ -58,6 +59,8 @@ const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
 const notes = /** @type {SolimonNotes} */ (byId("notes"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "not_started", shown: "", now_h: 0, clockReadAt: 0 };
+/** Last answers of the API. @type {{alarms?: any[], transducers?: any}} */
+const latest = {};
 
 const address = new Address(show);
 /** @type {DataLoader} */
@@ -78,6 +81,7 @@ const board = new Board(
   otherTests,
   {
     span: () => address.span,
+    full: fullHours,
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
     timeline,
     open: openSet,
@@ -113,13 +117,7 @@ const waterfallHost = {
   info: () => (data.trends.has(address.view.position) ? data.info : null),
   view: () => address.view,
   go: (changes, how) => address.go(changes, how),
-  full: () =>
-    fullSpan(
-      /** @type {any} */ ({
-        x: data.trends.get(address.view.position)?.columns.due_h ?? [],
-        endHour: data.info.schedule.end_h,
-      }),
-    ),
+  full: fullHours,
   timeline,
   open: openSet,
   over: (position) => {
@@ -151,6 +149,12 @@ notes.host = notesHost;
 
 function timeline() {
   return new Timeline(address.view.axis, data.info?.clock.epoch_utc ?? "1970-01-01T00:00:00Z");
+}
+
+/** Return the hours that all charts show without a zoom: to the newest set of all positions. */
+function fullHours() {
+  const newest = [...data.trends.values(), ...otherTests.trends.values()].map((one) => one.columns.due_h.at(-1) ?? 0);
+  return fullSpan(Math.max(0, ...newest), data.info?.schedule.end_h ?? 1);
 }
 
 /** Return the hour of the test by its own clock; a simulated clock does not advance between two updates. */
@@ -225,7 +229,10 @@ function typicalSet(position) {
 /** @param {import("./view.js").View} view @param {import("./view.js").View} before */
 function show(view, before) {
   if (view.theme !== before.theme) theme.show();
+  setLocalTime(view.axis === "local");
+  byId("charts").dataset.axis = view.axis;
   if (!data.info) return;
+  if (view.axis !== before.axis) showTimes();
   // The address may name a position that this test does not have.
   if (!data.positionInfo(view.position)) view.position = chartedPosition() || data.info.positions[0].position;
   if (view.position !== state.shown) {
@@ -246,6 +253,14 @@ function show(view, before) {
   waterfall.update();
   panel.update();
   showBaseline();
+}
+
+/** Show times in the chosen zone, e.g. after it has changed. */
+function showTimes() {
+  alarmList.render();
+  notes.update(data.notes);
+  if (latest.transducers) showClock(latest.transducers.as_of);
+  tiles.render();
 }
 
 function showBaseline() {
@@ -288,28 +303,41 @@ function onOthers() {
 }
 
 function showColumns() {
+  tiles.showTrends(data, fullHours()[1]);
   board.update(address.view, chartedPosition());
 }
 
 /** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */
 function onRead({ alarms, notes: noteRows, transducers, environment, info }) {
-  if (alarms) alarmList.update(alarms);
+  if (alarms) {
+    latest.alarms = alarms;
+    alarmList.update(alarms);
+    tiles.showAlarms(rankActive(alarms));
+  }
   if (noteRows) notes.update(noteRows);
   if (info) {
     operatorPrompt.show(data.info.asked);
     showInfo();
   }
   if (transducers) {
+    latest.transducers = transducers;
     tiles.update(transducers);
     disabled.update(transducers);
     runControl.update(data.info, transducers.items, transducers.as_of.recorder);
     showClock(transducers.as_of);
     showBaseline();
   }
+  showNewest();
   if (environment) {
     state.hasSupply = environment.supply_now !== null;
     showEnvironment(byId("environment"), environment);
   }
+}
+
+/** Show the most urgent alarm, or the age of the newest data, which grows without news. */
+function showNewest() {
+  if (latest.alarms && latest.transducers)
+    showHeadline(byId("headline"), latest.alarms, latest.transducers.items, state.recorder, nowH());
 }
 
 /** @param {string} topic @param {any} event */
@@ -333,24 +361,25 @@ function showInfo() {
   rig.dataset.rig = info.rig;
   setText(
     byId("approval"),
-    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`,
+    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h per s` : ""}`,
   );
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
   byId("finish").hidden = !info.clock.can_finish_now || !isAllowed("finish_now");
-  tiles.lossLimit = info.limits.thickness_loss_fraction;
+  tiles.setLimits(info.limits);
   showClock(info.as_of);
 }
 
 /** @param {any} asOf */
 function showClock(asOf) {
   setText(byId("hour"), `Hour ${hour(asOf.now_h)}`);
-  setText(byId("utc"), `${utc(asOf.now_utc)} on the ${asOf.clock} clock`);
+  setText(byId("time"), `${time(asOf.now_utc)}, ${asOf.clock} clock`);
   /** @type {HTMLProgressElement} */ (byId("progress")).value = data.info
     ? Math.min(1, asOf.now_h / data.info.schedule.end_h)
     : 0;
   Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, clockReadAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
+  waveform.setLive(state.recorder !== "finished");
   pauseControl.update(data.info?.paused ?? null, state.recorder);
   showConnection();
 }
@@ -401,8 +430,11 @@ const theme = new Theme(
 );
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
-  const paragraphs = ["The rest of the simulated test runs as fast as it goes. It cannot be slowed down again."];
-  if ((await askConfirmation({ title: "Finish the test now", paragraphs, submitLabel: "Run to the end" })) === null)
+  const paragraphs = ["The rest of the simulated test runs at full speed. It cannot be slowed down again."];
+  if (
+    (await askConfirmation({ title: "Skip to the end of the test", paragraphs, submitLabel: "Run to the end" })) ===
+    null
+  )
     return;
   if (await sendByButton(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
     button.disabled = true;
@@ -417,6 +449,7 @@ alarmList.addEventListener("show-hour", (event) => {
   waterfall.scrollIntoView({ block: "nearest" });
 });
 // Shelving also ends in real time: where no recorder runs, no event reports it.
+setInterval(showNewest, SHELF_MS);
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && data.readAlarms(), SHELF_MS);
 // Without a recorder there are no events, and the supply's own process may switch off.
 setInterval(

@@ -20,7 +20,7 @@ tiles.onSelect = (position) => {
 
 const transducers = embeddedAnswer("/api/v1/transducers");
 if (transducers) {
-  tiles.lossLimit = embeddedAnswer("/api/v1/info").limits.thickness_loss_fraction;
+  tiles.setLimits(embeddedAnswer("/api/v1/info").limits);
   tiles.online = true;
   tiles.update(transducers);
 }

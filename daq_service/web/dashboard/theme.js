@@ -1,7 +1,7 @@
 // Apply the light, dark or system theme. Printed pages are always light and state their time and address.
 
 import { byId, forgetColors, setText } from "./dom.js";
-import { utc } from "./format.js";
+import { time } from "./format.js";
 
 const KEY = "solimon-theme";
 const THEMES = ["auto", "light", "dark"];
@@ -21,11 +21,9 @@ export class Theme {
       choose(next);
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-    addEventListener("beforeprint", () => {
-      setText(byId("printed"), `Printed ${utc(new Date().toISOString())} from ${location.href}`);
-      this.apply("light");
-    });
+    addEventListener("beforeprint", () => this.print());
     addEventListener("afterprint", () => this.show());
+    matchMedia("print").addEventListener("change", ({ matches }) => (matches ? this.print() : this.show()));
   }
 
   /** The theme of the address, else the one that this browser remembers. */
@@ -34,7 +32,15 @@ export class Theme {
     return THEMES.includes(remembered) ? remembered : "auto";
   }
 
+  /** Draw everything for paper, before the browser lays out the pages. */
+  print() {
+    setText(byId("printed"), `Printed ${time(new Date().toISOString())} from ${location.href}`);
+    document.documentElement.classList.add("paper");
+    this.apply("light");
+  }
+
   show() {
+    document.documentElement.classList.remove("paper");
     setText(byId("theme"), `Theme: ${this.name}`);
     this.apply(this.name);
   }

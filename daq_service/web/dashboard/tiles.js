@@ -1,43 +1,66 @@
 // Show one tile per position: its name, its state and the age of its data.
 
 import { el, setText } from "./dom.js";
-import { NONE, duration, fixed, hour, quantity, significant, utc } from "./format.js";
+import { NONE, duration, fixed, hour, quantity, significant, time } from "./format.js";
 import { STATES, chip } from "./icons.js";
 import { diagnosisText, limitOf } from "./assessment.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Return the position of a ratio on the gauge: 0.01 to 100 times the limit, logarithmic. @param {number} ratio */
-function onGauge(ratio) {
-  return Math.max(0, Math.min(1, (Math.log10(Math.max(ratio, 1e-9)) + 2) / 4));
-}
+const WIDTH = 120;
+const HEIGHT = 36;
 
-/** @param {number | null} ratio */
-function gauge(ratio) {
+/**
+ * @typedef {object} Trend of a position, for its sparkline
+ * @property {number[]} x hours
+ * @property {(number | null)[]} y
+ * @property {number | null} limit
+ * @property {boolean} log
+ * @property {number} end_h end of the axis
+ */
+
+/**
+ * Draw a trend without axes: the line, its limit dashed, a point at the newest value.
+ *
+ * @param {Trend} trend
+ * @param {boolean} alarming
+ */
+function sparkline({ x, y, limit, log, end_h }, alarming) {
+  const scale = (/** @type {number} */ value) => (log ? Math.log10(Math.max(value, 1e-3)) : value);
+  const known = [...x.keys()].filter((k) => y[k] !== null);
+  const values = known.map((k) => scale(/** @type {number} */ (y[k])));
+  const all = limit === null ? values : [...values, scale(limit)];
+  const [low, high] = [Math.min(...all), Math.max(...all)];
+  const px = (/** @type {number} */ hour) => (2 + ((WIDTH - 4) * hour) / end_h).toFixed(1);
+  const py = (/** @type {number} */ value) =>
+    (HEIGHT - 3 - ((HEIGHT - 6) * (value - low)) / (high - low || 1)).toFixed(1);
   const svg = document.createElementNS(SVG, "svg");
-  svg.setAttribute("class", "gauge");
-  svg.setAttribute("viewBox", "0 0 200 10");
-  svg.setAttribute("preserveAspectRatio", "none");
-  svg.setAttribute("aria-hidden", "true");
-  const add = (/** @type {string} */ tag, /** @type {Record<string, string>} */ attributes) => {
+  const add = (
+    /** @type {Element} */ to,
+    /** @type {string} */ tag,
+    /** @type {Record<string, string>} */ attributes,
+  ) => {
     const element = document.createElementNS(SVG, tag);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    svg.append(element);
-    return element;
+    to.append(element);
   };
-  add("rect", { class: "gauge-track", x: "0.5", y: "2.5", width: "199", height: "5", rx: "2" });
-  if (ratio !== null) {
-    const value = add("rect", {
-      class: "gauge-value",
-      x: "0.5",
-      y: "2.5",
-      width: String(199 * onGauge(ratio)),
-      height: "5",
-      rx: "2",
-    });
-    value.dataset.over = String(ratio > 1);
-  }
-  add("line", { class: "gauge-limit", x1: "100", x2: "100", y1: "0", y2: "10" });
+  for (const [key, value] of [
+    ["class", "sparkline"],
+    ["viewBox", `0 0 ${WIDTH} ${HEIGHT}`],
+    ["aria-hidden", "true"],
+  ])
+    svg.setAttribute(key, value);
+  if (!known.length) return svg;
+  if (limit !== null) add(svg, "path", { class: "sparkline-limit", d: `M0 ${py(scale(limit))}H${WIDTH}` });
+  const points = known.map((k, n) => `${px(x[k])} ${py(values[n])}`);
+  add(svg, "path", { class: "sparkline-line", d: `M${points.join("L")}` });
+  const last = known.length - 1;
+  add(svg, "circle", {
+    class: alarming ? "sparkline-last alarming" : "sparkline-last",
+    cx: px(x[known[last]]),
+    cy: py(values[last]),
+    r: "3",
+  });
   return svg;
 }
 
@@ -62,6 +85,12 @@ export class Tiles {
     this.readAt = 0;
     this.online = false;
     this.lossLimit = 0;
+    /** Statistic that raises alarms: of the control chart, or D². */
+    this.chartDecides = true;
+    /** @type {Map<string, Trend>} by position */
+    this.trends = new Map();
+    /** Most urgent active alarm by position. @type {Map<string, any>} */
+    this.alarms = new Map();
     /** @type {any} */
     this.asOf = null;
     root.addEventListener("keydown", (event) => this.onKey(event));
@@ -74,6 +103,41 @@ export class Tiles {
     if (this.asOf !== answer.as_of) this.readAt = performance.now();
     this.states = answer.items;
     this.asOf = answer.as_of;
+    this.render();
+  }
+
+  /** Show the limits and rule of the test. @param {any} limits of /info */
+  setLimits({ thickness_loss_fraction, decides_by }) {
+    this.lossLimit = thickness_loss_fraction;
+    this.chartDecides = decides_by === "chart";
+  }
+
+  /**
+   * Show what the positions have measured so far, on one time axis.
+   *
+   * @param {import("./data-loader.js").DataLoader} loader
+   * @param {number} end_h of the axis
+   */
+  showTrends(loader, end_h) {
+    for (const [position, { columns, method }] of loader.trends) {
+      const probe = method === "pulse_echo";
+      const y = probe ? columns.thickness_m : this.chartDecides ? columns.mewma_statistic : columns.distance_squared;
+      const limits = loader.baselines.get(position)?.at(-1)?.row.limits;
+      const limit = this.chartDecides ? limits?.mewma : limits?.f_predictive;
+      const least = loader.info.initial_thickness_m * (1 - this.lossLimit);
+      this.trends.set(position, { x: columns.due_h, y, limit: (probe ? least : limit) ?? null, log: !probe, end_h });
+    }
+    this.render();
+  }
+
+  /** @param {any[]} active alarms, the most urgent first */
+  showAlarms(active) {
+    this.alarms.clear();
+    for (const alarm of active) if (!this.alarms.has(alarm.position)) this.alarms.set(alarm.position, alarm);
+    this.render();
+  }
+
+  render() {
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.position;
     this.root.replaceChildren(...this.states.map((state) => this.tile(state)));
     if (focused) /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-position="${focused}"]`))?.focus();
@@ -114,14 +178,15 @@ export class Tiles {
     const wall = this.wallAgeS();
     for (const tile of this.root.querySelectorAll(".tile")) {
       const state = this.states.find((one) => one.position === /** @type {HTMLElement} */ (tile).dataset.position);
-      const stale = state.stale || !this.online;
+      // The last values of a finished test are its result.
+      const stale = !this.online || (state.stale && this.asOf.recorder !== "finished");
       /** @type {HTMLElement} */ (tile).dataset.stale = String(stale);
       const age = tile.querySelector(".tile-age");
       if (!age) continue;
       const text =
         state.age_h === null
           ? "nothing recorded yet"
-          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · written ` +
+          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · updated ` +
             `${wall === null ? NONE : duration(wall)} ago`;
       setText(age, text);
     }
@@ -155,7 +220,7 @@ export class Tiles {
               class: "quiet small",
               text:
                 `${state.suppressed_alarms} shelved or out of ` +
-                `service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}`,
+                `service${state.shelved_until_utc ? `, until ${time(state.shelved_until_utc)}` : ""}`,
             }),
           ]
         : []),
@@ -167,40 +232,58 @@ export class Tiles {
     return tile;
   }
 
-  /** @param {any} state @returns {Element[]} */
-  solitaryWave(state) {
-    const { last_assessment: assessment } = state;
-    const feature = state.last_feature;
-    const limit = assessment ? limitOf(assessment) : null;
-    const ratio =
-      assessment && limit && assessment.distance_squared !== null ? assessment.distance_squared / limit : null;
-    const note =
-      ratio === null
-        ? (assessment?.reason ?? "no limit yet")
-        : `× limit (D² ${significant(assessment.distance_squared)} of ${significant(limit)})`;
+  /**
+   * Return the statistic of a position that raises alarms, or that raised the active one.
+   *
+   * @param {any} state
+   * @returns {{figure: string, note: string}}
+   */
+  statistic({ position, last_assessment: assessment }) {
+    const alarm = this.alarms.get(position);
+    const probability = assessment?.diagnosis_probability ?? null;
+    if (alarm?.evidence.raised_by === "diagnosis" && probability !== null && assessment.diagnosis !== "undetermined")
+      return { figure: `${Math.round(100 * probability)} %`, note: `model: ${assessment.diagnosis}` };
+    const [value, limit, name] = this.chartDecides
+      ? [assessment?.mewma_statistic, assessment?.limits?.mewma, "control chart"]
+      : [assessment?.distance_squared, assessment ? limitOf(assessment) : null, "D²"];
+    if (typeof value !== "number" || !limit) return { figure: NONE, note: assessment?.reason ?? "no limit yet" };
+    return {
+      figure: `${Number((value / limit).toPrecision(2))} × limit`,
+      note: `${name} ${significant(value)}, limit ${significant(limit)}`,
+    };
+  }
+
+  /**
+   * @param {any} state
+   * @param {string} figure
+   * @param {string} note
+   * @param {[string, string][]} values
+   */
+  body(state, figure, note, values) {
+    const trend = this.trends.get(state.position);
     return [
       el(
         "div",
         { class: "tile-figure" },
-        el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }),
-        el("span", { class: "figure-note", text: note }),
+        el("div", {}, el("p", { class: "figure", text: figure }), el("p", { class: "figure-note", text: note })),
+        ...(trend ? [sparkline(trend, state.state === "alarm")] : []),
       ),
-      gauge(ratio),
-      list([
-        ...(assessment?.diagnosis ? [/** @type {[string, string]} */ (["Cause", diagnosisText(assessment)])] : []),
-        ...(typeof assessment?.mewma_statistic === "number" && assessment.limits?.mewma
-          ? [
-              /** @type {[string, string]} */ ([
-                "Chart",
-                `${significant(assessment.mewma_statistic)}, limit ${significant(assessment.limits.mewma)}`,
-              ]),
-            ]
-          : []),
-        ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
-        ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
-        ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],
-      ]),
+      list(values),
     ];
+  }
+
+  /** @param {any} state @returns {Element[]} */
+  solitaryWave(state) {
+    const { last_assessment: assessment, last_feature: feature } = state;
+    const { figure, note } = this.statistic(state);
+    /** @type {[string, string][]} */
+    const values = [
+      ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
+      ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
+      ["Quality", feature?.quality ?? NONE],
+    ];
+    if (assessment?.diagnosis) values.unshift(["Diagnosis", diagnosisText(assessment)]);
+    return this.body(state, figure, note, values);
   }
 
   /** @param {any} state @returns {Element[]} */
@@ -208,27 +291,17 @@ export class Tiles {
     const row = state.last_thickness;
     const initial =
       row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
-    const fraction = initial ? row.thickness_loss_m / initial : null;
-    const ratio = fraction === null || !this.lossLimit ? null : fraction / this.lossLimit;
-    return [
-      el(
-        "div",
-        { class: "tile-figure" },
-        el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }),
-        el("span", {
-          class: "figure-note",
-          text:
-            fraction === null
-              ? "wall thickness"
-              : `${fixed(100 * fraction, 1)} % lost, limit ${fixed(100 * this.lossLimit, 0)} %`,
-        }),
-      ),
-      gauge(ratio),
-      list([
-        ["Loss", quantity(row?.thickness_loss_m, 1e3, 2, "mm")],
-        ["Travel time", quantity(row?.travel_time_s, 1e6, 3, "µs")],
-        ["Quality", row ? row.quality : NONE],
-      ]),
-    ];
+    const lost = initial ? `, ${fixed((100 * row.thickness_loss_m) / initial, 0)} %` : "";
+    const [low, high] = [row?.interval_low_m ?? null, row?.interval_high_m ?? null];
+    const interval =
+      low === null || high === null
+        ? "wall thickness"
+        : `${fixed(1e3 * low, 2)} to ${quantity(high, 1e3, 2, "mm")} (95 %)`;
+    return this.body(state, quantity(row?.thickness_m, 1e3, 2, "mm"), interval, [
+      ["Wall loss", `${quantity(row?.thickness_loss_m, 1e3, 2, "mm")}${lost}`],
+      ["Limit", `${fixed(100 * this.lossLimit, 0)} %`],
+      ["Travel time", quantity(row?.travel_time_s, 1e6, 3, "µs")],
+      ["Quality", row?.quality ?? NONE],
+    ]);
   }
 }

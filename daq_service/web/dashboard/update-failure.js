@@ -13,7 +13,7 @@ export class UpdateFailure {
     this.reason = el("strong");
     this.age = el("span");
     root.append(
-      el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not read"),
+      el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not updating"),
       el("p", {}, this.reason, " ", this.age),
     );
     this.readAt = 0;
@@ -23,7 +23,7 @@ export class UpdateFailure {
   /** @param {Error} error @param {number} readAt time of the last complete update, by `performance.now()`; 0: never */
   fail(error, readAt) {
     this.readAt = readAt;
-    setText(this.reason, `The last reading failed: ${error.message}.`);
+    setText(this.reason, `The last update failed: ${error.message}.`);
     this.root.hidden = false;
     this.tick();
   }
@@ -37,7 +37,7 @@ export class UpdateFailure {
       setText(
         this.age,
         this.readAt
-          ? `What is shown was read ${duration((performance.now() - this.readAt) / 1000)} ago.`
+          ? `The data shown were read ${duration((performance.now() - this.readAt) / 1000)} ago.`
           : "Nothing has been read yet.",
       );
   }

@@ -18,20 +18,22 @@ export class SolimonWaveform extends HTMLElement {
     this.received = 0;
     this.changes = 0;
     this.label = "";
-    this.heading = el("h2", { text: "Live waveform", id: "waveform-title" });
-    this.subtitle = el("p", { text: "The newest record of the selected position" });
+    this.position = "";
+    this.live = true;
+    this.heading = el("h2", { text: "Waveform", id: "waveform-title" });
+    this.subtitle = el("p", { text: "The newest waveform of the selected position" });
     this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
-    this.toggle.setAttribute("aria-label", "Table of: Live waveform");
+    this.toggle.setAttribute("aria-label", "Table of: Waveform");
     this.readouts = el("dl", { class: "readouts" });
-    this.box = el("div", { class: "plot", role: "img", tabindex: "0", "aria-label": "Waiting for the first record" });
-    this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
+    this.box = el("div", { class: "plot", role: "img", tabindex: "0", "aria-label": "Waiting for the first waveform" });
+    this.emptyText = el("p", { class: "empty", text: "Waiting for the first waveform" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);
     this.tableBox = el("div", {
       class: "table-wrap",
       tabindex: "0",
       role: "region",
-      "aria-label": "Live waveform, table",
+      "aria-label": "Waveform, table",
       hidden: true,
     });
     this.toggle.addEventListener("click", () => {
@@ -67,12 +69,19 @@ export class SolimonWaveform extends HTMLElement {
     this.plot?.destroy();
     this.plot = null;
     this.emptyText.hidden = false;
-    setText(this.heading, `Live waveform · ${position}`);
+    this.position = position;
+    this.setLive(this.live);
     setText(this.subtitle, label);
     setText(this.readout, "");
     this.label = label;
     this.readouts.replaceChildren();
     delete this.dataset.sequence;
+  }
+
+  /** Show whether more waveforms follow: after the test this is the last one. @param {boolean} live */
+  setLive(live) {
+    this.live = live;
+    if (this.position) setText(this.heading, `${live ? "Live" : "Last"} waveform · ${this.position}`);
   }
 
   /** @param {Waveform} waveform */
@@ -94,7 +103,7 @@ export class SolimonWaveform extends HTMLElement {
     this.fillReadouts();
     this.box.setAttribute(
       "aria-label",
-      `Record of position ${header.position}: ` +
+      `Waveform of position ${header.position}: ` +
         `${[...this.readouts.children].map((group) => group.textContent).join("; ")}`,
     );
     if (this.plot && sameKind) this.plot.setData([waveform.micros, waveform.volts]);
@@ -122,7 +131,7 @@ export class SolimonWaveform extends HTMLElement {
       for (const value of volts) peak = Math.max(peak, Math.abs(value));
       groups.push(
         ["Samples", `${volts.length} at ${fixed(header.sample_rate_hz / 1e6, 0)} MS/s`],
-        ["Largest amplitude", quantity(peak, 1, 3, "V")],
+        ["Maximum amplitude", quantity(peak, 1, 3, "V")],
       );
     }
     this.readouts.replaceChildren(

@@ -54,13 +54,14 @@ export function gapRanges(gaps) {
 }
 
 /**
- * Return unscheduled sets as lines with a label.
+ * Return unscheduled sets as lines.
  *
  * @param {any[]} confirmations
  * @returns {import("./marks.js").Range[]}
  */
 export function confirmationRanges(confirmations) {
-  return confirmations.map(({ due_h }) => ({ from_h: due_h, to_h: due_h, label: "confirmation set", tone: "note" }));
+  const look = { label: "confirmation set", tone: "note", inLegend: true };
+  return confirmations.map(({ due_h }) => ({ from_h: due_h, to_h: due_h, ...look }));
 }
 
 export class Board {
@@ -82,16 +83,16 @@ export class Board {
       feature: chart("feature"),
     };
     this.charts.distance.configure(
-      { title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" },
+      { title: "Mahalanobis squared distance", log: true, empty: "No value yet: it needs the baseline" },
       host,
     );
     this.charts.chart.configure(
-      { title: "Chart of false-alarm budget", log: true, empty: "No chart yet: it needs the baseline" },
+      { title: "Control chart (MEWMA)", log: true, empty: "No value yet: it needs the baseline" },
       host,
     );
     this.charts.tof.configure({ title: "Time of flight", empty: "No set yet" }, host);
     this.charts.amplitudeRatio.configure({ title: "Amplitude ratio", empty: "No set yet" }, host);
-    this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo record yet" }, host);
+    this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo waveform yet" }, host);
     this.charts.feature.configure({ title: "Any feature", empty: "No set yet" }, host);
     this.choice = /** @type {HTMLSelectElement} */ (
       el("select", { class: "field small", "aria-label": "Feature of this chart" })
@@ -248,7 +249,6 @@ export class Board {
 
   /** @param {View} view @param {string[]} positions */
   context(view, positions) {
-    const { info } = this.loader;
     const [position] = positions;
     const alarms = this.loader.alarms
       .filter((alarm) => positions.includes(alarm.position))
@@ -270,7 +270,6 @@ export class Board {
       ],
       alarms,
       opened,
-      endHour: info.schedule.end_h,
       at:
         `Position ${position}` +
         (positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : "") +
@@ -308,11 +307,8 @@ export class Board {
         dash: [7, 4],
         y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
       });
-    // There is no room for more at the axis.
-    const [label] = chart.options.title.split(",");
-    const name = relative ? `${label}, change (%)` : unit ? `${label} (${unit})` : label;
     const [{ step }] = lines;
-    const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
+    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : "";
     const remark = relative
       ? "relative to each position's own baseline" +
         (this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : "")
@@ -322,7 +318,8 @@ export class Board {
     chart.update({
       x,
       lines,
-      name,
+      // The title names the feature; a label keeps the areas of all charts the same.
+      name: relative ? "Change (%)" : unit || " ",
       unit,
       digits,
       subtitle: [at, bins, remark].filter(Boolean).join(" · "),
@@ -348,7 +345,7 @@ export class Board {
     lines.push(
       {
         key: "limit_f_predictive",
-        label: `predictive F limit${of}`,
+        label: `F limit${of}`,
         short: "F limit",
         color: "--limit",
         points: false,
@@ -356,23 +353,23 @@ export class Board {
       },
       {
         key: "limit_mean_3sd",
-        label: `paper's mean + 3 SD limit${of}`,
-        short: "paper's limit",
+        label: `mean + 3 SD${of}`,
+        short: "mean + 3 SD",
         color: "--limit-other",
         points: false,
         dash: [2, 4],
         y: onAxis(columns.limit_mean_3sd, rows[0]),
       },
     );
-    const rule = limits.decides_by === "k_of_n" ? `alarm at ${limits.k} of ${limits.n}` : "the chart decides";
+    const rule = limits.decides_by === "k_of_n" ? `raises alarms: ${limits.k} of ${limits.n} sets` : "for information";
     const deciding =
       limits.deciding === "f_predictive"
-        ? `outlier beyond the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)`
-        : `outlier beyond ${limits.deciding}`;
+        ? `outlier above the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)`
+        : `outlier above ${limits.deciding}`;
     this.charts.distance.update({
       x,
       lines,
-      name: "Squared distance D²",
+      name: "D²",
       unit,
       digits: 2,
       subtitle: `${at} · ${deciding} · ${rule}`,
@@ -383,7 +380,7 @@ export class Board {
 
   /** Draw the control chart, which averages over sets, and its limit. @param {View} view @param {string[]} positions */
   controlChart(view, positions) {
-    const { lines, x, unit } = this.lines(view, positions, "mewma_statistic", "mewma_statistic", "chart");
+    const { lines, x, unit } = this.lines(view, positions, "mewma_statistic", "mewma_statistic", "MEWMA");
     const { at, of: source, ...context } = this.context(view, positions);
     const { limits } = this.loader.info;
     const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.mewma ?? null);
@@ -391,20 +388,20 @@ export class Board {
     if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null))
       lines.push({
         key: "mewma_limit",
-        label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`,
+        label: `limit${positions.length > 1 ? ` of ${positions[0]}` : ""}`,
         short: "limit",
         color: "--limit",
         points: false,
         y: limit,
       });
-    const rule = limits.decides_by === "chart" ? "it decides" : `a view: alarm at ${limits.k} of ${limits.n} sets`;
+    const rule = limits.decides_by === "chart" ? "raises alarms" : "for information";
     this.charts.chart.update({
       x,
       lines,
-      name: "Chart",
+      name: "MEWMA",
       unit,
       digits: 2,
-      subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`,
+      subtitle: `${at} · design rate ${significant(limits.false_alarms_per_sensor_year)} false alarms per transducer-year · ${rule}`,
       exported: { fields: ["mewma_statistic"], ...source },
       ...context,
     });

@@ -6,7 +6,7 @@ import { chartOffer, exportMenu } from "../export.js";
 import { NONE, fixed } from "../format.js";
 import { onZoomKey, within } from "./gestures.js";
 import { swatch } from "./legend.js";
-import { dataOf, makePlot, fullSpan } from "./plot.js";
+import { dataOf, makePlot } from "./plot.js";
 
 /**
  * @typedef {object} ChartOptions
@@ -24,11 +24,11 @@ import { dataOf, makePlot, fullSpan } from "./plot.js";
  * @property {number[]} alarms hours
  * @property {number | null} opened hour of the opened set
  * @property {string} subtitle
- * @property {number} endHour of the schedule
  * @property {{fields: string[], method: string, positions: string[]} | null} exported data of the API that it shows
  *
  * @typedef {object} Host what all charts of the page share
  * @property {() => import("./gestures.js").Span | null} span null: the complete test
+ * @property {() => import("./gestures.js").Span} full hours of the complete test
  * @property {(span: import("./gestures.js").Span | null, gesture?: boolean) => void} show
  * @property {() => import("../timeline.js").Timeline} timeline
  * @property {(position: string, setIndex: number) => void} open
@@ -37,6 +37,28 @@ import { dataOf, makePlot, fullSpan } from "./plot.js";
  */
 
 const MAX_TABLE_ROWS = 500;
+/**
+ * Return the marks that a chart has: one entry of its legend each, however often it is drawn.
+ *
+ * @param {Series} series
+ * @returns {{color: string, kind: "diamond" | "cross" | "ring" | "line", label: string}[]}
+ */
+function marksIn({ lines, ranges }) {
+  const has = (/** @type {string} */ quality) => lines.some((line) => line.quality?.includes(quality));
+  // With several positions a mark has the color of each.
+  const color = lines.filter((line) => line.points).length > 1 ? "--ink" : "--data";
+  return [
+    ...(lines.some((line) => line.outlier?.includes(true))
+      ? [{ color, kind: /** @type {const} */ ("diamond"), label: "outlier" }]
+      : []),
+    ...(has("bad") ? [{ color: "--alarm", kind: /** @type {const} */ ("cross"), label: "bad" }] : []),
+    ...(has("suspect") ? [{ color, kind: /** @type {const} */ ("ring"), label: "suspect" }] : []),
+    ...[...new Map(ranges.filter((range) => range.inLegend).map((range) => [range.label, range])).values()].map(
+      ({ tone, label }) => ({ color: `--${tone}`, kind: /** @type {const} */ ("line"), label }),
+    ),
+  ];
+}
+
 /** @type {Series} */
 const NOTHING = {
   x: [],
@@ -48,7 +70,6 @@ const NOTHING = {
   alarms: [],
   opened: null,
   subtitle: "",
-  endHour: 1,
   exported: null,
 };
 
@@ -73,7 +94,7 @@ export class SolimonChart extends HTMLElement {
     this.actions = el("div", { class: "card-actions" }, this.toggle);
     this.readout = el("p", { class: "readout", "aria-live": "polite" });
     this.canvasBox = el("div", { class: "plot", tabindex: "0", role: "img" });
-    this.emptyText = el("p", { class: "empty", text: "Reading" });
+    this.emptyText = el("p", { class: "empty", text: "Loading" });
     this.canvasBox.append(this.emptyText);
     this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", hidden: true });
     this.legend = el("ul", { class: "legend" });
@@ -134,27 +155,29 @@ export class SolimonChart extends HTMLElement {
     const [first] = series.lines;
     this.dataset.points = String(first ? first.y.filter((value) => value !== null).length : 0);
     setText(this.subtitle, series.subtitle);
+    this.subtitle.title = series.subtitle;
     setText(this.emptyText, this.options.empty);
     this.emptyText.hidden = series.x.length > 0;
     const last = series.x.length - 1;
     this.canvasBox.setAttribute(
       "aria-label",
       `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single ` +
-        "values, Enter opens the set, n notes something. " +
+        "values, Enter opens the set, N adds a note. " +
         `${last >= 0 ? this.describe(last) : this.options.empty}`,
     );
     if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
+    const marks = marksIn(series);
     const made = JSON.stringify([
       series.name,
+      marks,
       this.host.timeline().label,
       series.lines.map((line) => [line.key, line.label, line.color]),
     ]);
     if (made !== this.made) {
-      const outlier = series.lines.some((line) => line.outlier)
-        ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")]
-        : [];
+      // A single position needs no name: the title has it.
+      const named = series.lines.filter((line) => line !== first || !line.points || series.lines[1]?.points);
       this.legend.replaceChildren(
-        ...series.lines.map((line) =>
+        ...named.map((line) =>
           el(
             "li",
             {},
@@ -162,9 +185,7 @@ export class SolimonChart extends HTMLElement {
             line.label,
           ),
         ),
-        ...outlier,
-        el("li", {}, swatch("--alarm", "cross"), "bad"),
-        el("li", {}, swatch("--data", "ring"), "suspect"),
+        ...marks.map(({ color, kind, label }) => el("li", {}, swatch(color, kind), label)),
       );
     }
     // Draw last, when all surrounding elements have their size.
@@ -219,7 +240,7 @@ export class SolimonChart extends HTMLElement {
     if (!this.plot || !this.series.x.length) return;
     const { x, lines } = this.series;
     const at = this.cursor < 0 ? x.length - 1 : this.cursor;
-    const full = () => fullSpan(this.series);
+    const { full } = this.host;
     const span = () => this.host.span() ?? full();
     if (onZoomKey(event, { span, full, show: (to) => this.host.show(to, true), center: () => x[at] })) return;
     if (event.key === "Enter" || event.key === "n") {

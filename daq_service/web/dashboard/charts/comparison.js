@@ -75,7 +75,7 @@ export class Comparison {
           .map((/** @type {{value: string, text: string}} */ option) => el("option", option)),
       );
     });
-    this.choice.replaceChildren(el("option", { value: "", text: "With another test …" }), ...groups);
+    this.choice.replaceChildren(el("option", { value: "", text: "Compare another test …" }), ...groups);
     this.choice.value = "";
   }
 
@@ -86,8 +86,8 @@ export class Comparison {
     const removeButton = el("button", {
       class: "button ghost small",
       type: "button",
-      text: "Take out",
-      "aria-label": `Take out ${nameOf(entry)}`,
+      text: "Remove",
+      "aria-label": `Remove ${nameOf(entry)}`,
     });
     removeButton.addEventListener("click", () => {
       this.choice.focus();
@@ -112,7 +112,7 @@ export class Comparison {
       const trouble = others.errors.get(entry);
       setText(
         /** @type {Element} */ (row.querySelector(".compared-age")),
-        [age, trouble && `not read: ${trouble}`].filter(Boolean).join(" · ") || "reading",
+        [age, trouble && `not updating: ${trouble}`].filter(Boolean).join(" · ") || "Loading",
       );
     }
   }

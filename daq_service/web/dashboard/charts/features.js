@@ -18,10 +18,10 @@ const LABELS = {
   ssw_time_s: "SSW time",
   isw_fwhm_s: "ISW width at half height",
   noise_rms_v: "Noise, rms",
-  chart: "Chart of false-alarm budget",
+  mewma_statistic: "Control chart (MEWMA)",
   distance_squared: "Mahalanobis squared distance",
   thickness_m: "Wall thickness",
-  thickness_loss_m: "Lost thickness",
+  thickness_loss_m: "Wall loss",
   travel_time_s: "Travel time of the echo",
   correlation_coefficient: "Correlation with the reference echo",
 };

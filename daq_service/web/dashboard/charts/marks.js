@@ -7,7 +7,10 @@ const TAU = 2 * Math.PI;
 /** Rows for annotations whose labels would overlap; further ones are only in the table. */
 const NOTE_ROWS = 3;
 
-/** @typedef {{from_h: number, to_h: number, label: string, tone: string}} Range */
+/**
+ * @typedef {{from_h: number, to_h: number, label: string, tone: string, inLegend?: boolean}} Range inLegend: its
+ *   label is in the legend, once, instead of on the chart
+ */
 /** @typedef {(path: Path2D, x: number, y: number, r: number) => void} Shape */
 
 /** @type {Shape} */
@@ -92,8 +95,8 @@ export function drawPoints(u, x, line) {
     ctx.globalAlpha = 1;
     ctx.fill(paths.good);
     ctx.stroke(paths.suspect);
-    ctx.fillStyle = ctx.strokeStyle = color("--alarm");
     ctx.fill(paths.outlier);
+    ctx.strokeStyle = color("--alarm");
     ctx.lineWidth = 2 * devicePixelRatio;
     ctx.stroke(paths.bad);
   });
@@ -130,6 +133,7 @@ export function drawRanges(u, ranges) {
         ctx.strokeRect(left, bbox.top - ratio, right - left, bbox.height + 2 * ratio);
         ctx.setLineDash([]);
       }
+      if (range.inLegend) continue;
       const note = range.tone === "note";
       const start = Math.max(left, bbox.left) + 4 * ratio;
       const ends = note ? bbox.left + bbox.width : Math.min(right, bbox.left + bbox.width);

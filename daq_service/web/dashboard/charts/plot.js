@@ -24,11 +24,12 @@ function decades(_u, splits) {
 /**
  * Return the full span of the axis; it grows in steps, so that a new set does not move everything.
  *
- * @param {Series} series
+ * @param {number} newest hour of the newest set
+ * @param {number} endHour of the schedule
  * @returns {Span}
  */
-export function fullSpan({ x, endHour }) {
-  const max = x.length ? x[x.length - 1] : 1;
+export function fullSpan(newest, endHour) {
+  const max = newest || 1;
   const step = max <= 30 ? 6 : max <= 120 ? 24 : 50;
   return [0, Math.max(step, Math.min(Math.ceil((max * 1.02) / step) * step, Math.max(endHour, max)))];
 }
@@ -111,7 +112,7 @@ function lineOptions(line, series) {
 export function makePlot(box, options, host, series, handlers) {
   const axis = axisLook();
   const log = Boolean(options.log);
-  const full = () => fullSpan(series());
+  const { full } = host;
   const span = () => host.span() ?? full();
   const timeline = host.timeline();
   const dates = timeline.axis !== "hours";

@@ -72,7 +72,7 @@ export class Toolbar {
         .map((/** @type {string} */ position) => {
           const chosen = view.compare.includes(position);
           const compare = chosen ? view.compare.filter((one) => one !== position) : [...view.compare, position];
-          return button(`with ${position}`, () => this.go({ compare }), {
+          return button(`Compare ${position}`, () => this.go({ compare }), {
             "aria-pressed": String(chosen),
             "data-compare": position,
           });

@@ -40,8 +40,7 @@ export async function readSetData(position, method, key) {
     waveforms: null,
     missingReason: "",
   };
-  if (!set)
-    return { ...nothing, missingReason: `Nothing is recorded of ${setName(key)} at position ${position} yet.` };
+  if (!set) return { ...nothing, missingReason: `Position ${position} has no ${setName(key)} yet.` };
   const taken = set.n_taken > 0;
   const [features, shotFeatures, [assessment], baselines, environment, shots, waveforms] = await Promise.all([
     items(waves ? `/features?${which}&scope=set` : `/thickness?${which}`),
@@ -55,9 +54,9 @@ export async function readSetData(position, method, key) {
   ]);
   const failed = waveforms instanceof Error;
   const reason = failed
-    ? `The records cannot be read: ${waveforms.message}`
+    ? `The waveforms cannot be read: ${waveforms.message}`
     : set.reason
-      ? `Nothing was recorded: ${set.reason}.`
+      ? `No waveform: ${set.reason}.`
       : "No file of this set is stored.";
   return {
     set,

@@ -4,7 +4,7 @@ import { el } from "../dom.js";
 import { isFeature, featureLabel } from "../charts/features.js";
 import { shownUnit } from "../charts/series.js";
 import { diagnosisText, limitOf } from "../assessment.js";
-import { NONE, fixed, hour, quantity, significant, utc } from "../format.js";
+import { NONE, fixed, hour, quantity, significant, time } from "../format.js";
 
 /** @typedef {import("./data.js").SetData} SetData */
 
@@ -53,10 +53,7 @@ function bar(share, text) {
 /** @param {SetData} data @param {Record<string, string>} units */
 export function features({ feature, assessment }, units) {
   if (feature === null)
-    return section(
-      "Features",
-      el("p", { class: "quiet small", text: "No feature: the set gave too few valid records." }),
-    );
+    return section("Features", el("p", { class: "quiet small", text: "No feature: too few valid shots." }));
   const contributions = assessment?.contributions ?? {};
   const total = Object.values(contributions).reduce((sum, value) => sum + Math.abs(value ?? 0), 0);
   const rows = Object.keys(units)
@@ -73,43 +70,45 @@ export function features({ feature, assessment }, units) {
       );
     });
   const caption =
-    `${feature.n_valid === undefined ? "Of the record" : `Mean of ${feature.n_valid} valid shots`}, ` +
-    `quality ${feature.quality}; the last column is each feature's part of D²`;
-  return section("Features", table(caption, ["Feature", "Value", "Part of D²"], rows));
+    `${feature.n_valid === undefined ? "Of the waveform" : `Mean of ${feature.n_valid} valid shots`}, ` +
+    `quality ${feature.quality}; the last column is each feature's contribution to D²`;
+  return section("Features", table(caption, ["Feature", "Value", "Contribution to D²"], rows));
 }
 
 /** @param {SetData} data @param {any} limits of /info */
 export function distance({ assessment }, limits) {
-  if (assessment === null) return section("Distance", el("p", { class: "quiet small", text: "Not judged." }));
+  if (assessment === null) return section("Distance", el("p", { class: "quiet small", text: "Not assessed." }));
   const { diagnosis_details: diagnosis } = assessment;
   const limit = limitOf(assessment);
   const limitNames = /** @type {Record<string, string>} */ ({
-    paper_mean_3sd: "paper's mean + 3 SD",
-    f_predictive: `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms`,
+    paper_mean_3sd: "mean + 3 SD",
+    f_predictive: `F limit, ${significant(100 * limits.false_alarm_rate)} % false alarms`,
   });
   const limitName = limitNames[assessment.limit_name] ?? assessment.limit_name;
   const result = assessment.in_baseline
     ? "part of the baseline"
     : assessment.outlier === null
-      ? (assessment.reason ?? "not judged")
+      ? (assessment.reason ?? "not assessed")
       : assessment.outlier
-        ? "beyond the limit: outlier"
-        : "within the limit";
+        ? "above the limit: outlier"
+        : "below the limit";
   return section(
     "Distance",
     list([
       ["D²", significant(assessment.distance_squared)],
       ["Limit of outliers", `${significant(limit)} (${limitName})`],
       [
-        "Times the limit",
-        limit && assessment.distance_squared !== null ? significant(assessment.distance_squared / limit) : NONE,
+        "Ratio to limit",
+        limit && assessment.distance_squared !== null
+          ? Number((assessment.distance_squared / limit).toPrecision(2)).toString()
+          : NONE,
       ],
-      ["Verdict", result],
+      ["Result", result],
       .../** @type {[string, string][]} */ (
         assessment.diagnosis
           ? [
-              ["Cause", diagnosisText(assessment)],
-              ["What is seen", diagnosis.sentence],
+              ["Diagnosis", diagnosisText(assessment)],
+              ["Observation", diagnosis.sentence],
               ["What to do", diagnosis.action],
             ]
           : []
@@ -143,10 +142,10 @@ function limitTable(assessment, limits) {
         el("td", { text: name, title: description }),
         el("td", { text: significant(limit) }),
         el("td", { text: significant(value) }),
-        el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }),
+        el("td", { text: value === null ? NONE : value > limit ? "above" : "below" }),
       );
     });
-  return table("Every limit, and what it bounds", ["Limit", "Its value", "The set's", "Verdict"], rows);
+  return table("Limits", ["Name", "Limit", "Value", "Result"], rows);
 }
 
 /**
@@ -184,7 +183,7 @@ export function shots({ shots: rows, shotFeatures }, units, chosen, choose) {
   return section(
     "Shots",
     table(
-      "A shot's number emphasises its record",
+      "Select a shot to emphasize its waveform",
       ["Shot", "Quality", "Flags", ...columns.map(featureLabel), "Sequence"],
       cells,
     ),
@@ -194,7 +193,7 @@ export function shots({ shots: rows, shotFeatures }, units, chosen, choose) {
 /** @param {SetData} data */
 export function climate({ environment: row }) {
   if (row === null)
-    return section("Climate and supply", el("p", { class: "quiet small", text: "Nothing was read around this set." }));
+    return section("Climate and supply", el("p", { class: "quiet small", text: "No reading around this set." }));
   const age = (/** @type {string} */ quality, /** @type {number | null} */ age_s) =>
     quality === "absent" ? "absent" : `${quality}${age_s === null ? "" : `, read ${fixed(age_s, 0)} s before`}`;
   return section(
@@ -223,11 +222,11 @@ export function provenance({ set, feature, assessment, baseline }, info) {
     "Provenance",
     list([
       ["File", set.file ?? NONE],
-      ["Its SHA-256", set.file_sha256 ? `${set.file_sha256.slice(0, 16)}…` : NONE],
-      ["Recorded", `${utc(set.started_utc)} to ${utc(set.ended_utc)}`],
+      ["SHA-256", set.file_sha256 ? `${set.file_sha256.slice(0, 16)}…` : NONE],
+      ["Recorded", `${time(set.started_utc)} to ${time(set.ended_utc)}`],
       ["Age", `${hour(set.age_h)} h`],
       [
-        "Records",
+        "Shots",
         `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned` +
           (set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""),
       ],

@@ -4,7 +4,7 @@ import { onZoomKey } from "../charts/gestures.js";
 import { swatch } from "../charts/legend.js";
 import { button, el, setText } from "../dom.js";
 import { exportMenu, setOffer } from "../export.js";
-import { duration, fixed, hour, scheduledIndex, setName, utc } from "../format.js";
+import { duration, fixed, hour, scheduledIndex, setName, time } from "../format.js";
 import { PRIORITIES, chip } from "../icons.js";
 import { marksOf } from "../pulses.js";
 import { readSetData } from "./data.js";
@@ -53,7 +53,7 @@ export class SolimonSet extends HTMLElement {
     this.chips = el("span", { class: "chips" });
     this.previous = button("‹ Previous set", () => this.step(-1));
     this.next = button("Next set ›", () => this.step(1));
-    this.resetButton = button("Whole record", () => this.host.go({ from_us: null, to_us: null }));
+    this.resetButton = button("Full waveform", () => this.host.go({ from_us: null, to_us: null }));
     this.toggle = button("Table", () =>
       this.host.go({
         tables: this.showsTable()
@@ -61,9 +61,9 @@ export class SolimonSet extends HTMLElement {
           : [...this.host.view().tables, "set"],
       }),
     );
-    this.toggle.setAttribute("aria-label", "Table of: records of the set");
+    this.toggle.setAttribute("aria-label", "Table of: waveforms of the set");
     this.close = button("Close", () => this.leave());
-    this.box = el("div", { class: "plot tall", role: "img", tabindex: "0", "aria-label": "Records of the set" });
+    this.box = el("div", { class: "plot tall", role: "img", tabindex: "0", "aria-label": "Waveforms of the set" });
     this.emptyText = el("p", { class: "empty" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);
@@ -71,7 +71,7 @@ export class SolimonSet extends HTMLElement {
       class: "table-wrap",
       tabindex: "0",
       role: "region",
-      "aria-label": "Records of the set, table",
+      "aria-label": "Waveforms of the set, table",
       hidden: true,
     });
     this.legend = el("ul", { class: "legend" });
@@ -95,7 +95,7 @@ export class SolimonSet extends HTMLElement {
           this.next,
           this.resetButton,
           this.toggle,
-          exportMenu("records of the set", () => this.offer()),
+          exportMenu("waveforms of the set", () => this.offer()),
           this.close,
         ),
       ),
@@ -190,7 +190,7 @@ export class SolimonSet extends HTMLElement {
       const { waveforms } = await readWaveforms(position, index);
       this.ghost = mean(waveforms);
     } catch (error) {
-      console.info(`no baseline record beside the set: ${/** @type {Error} */ (error).message}`);
+      console.info(`no baseline waveform next to the set: ${/** @type {Error} */ (error).message}`);
     }
   }
 
@@ -264,7 +264,7 @@ export class SolimonSet extends HTMLElement {
     setText(
       this.subtitle,
       set
-        ? `${positionInfo.label} · ${utc(set.due_utc)} · ${duration(3600 * set.age_h)} old on the experiment's clock`
+        ? `${positionInfo.label} · ${time(set.due_utc)} · ${duration(3600 * set.age_h)} old on the test clock`
         : positionInfo.label,
     );
     const chips = [];
@@ -365,7 +365,7 @@ export class SolimonSet extends HTMLElement {
   draw() {
     this.clearPlot();
     const overlay = this.overlay();
-    setText(this.emptyText, overlay ? "" : this.data ? this.data.missingReason : "Reading");
+    setText(this.emptyText, overlay ? "" : this.data ? this.data.missingReason : "Loading");
     this.emptyText.hidden = overlay !== null;
     const showsTable = this.showsTable();
     this.tableBox.hidden = !showsTable;
@@ -380,13 +380,13 @@ export class SolimonSet extends HTMLElement {
     if (stored && stored.waveforms.length > 1)
       this.legend.prepend(el("li", {}, swatch("--data", "line"), `${stored.waveforms.length} shots`));
     if (stored?.header.n_damaged)
-      this.legend.append(el("li", { text: `${stored.header.n_damaged} damaged records are left out` }));
+      this.legend.append(el("li", { text: `${stored.header.n_damaged} corrupt waveforms are left out` }));
     const marks = overlay.marks.map(
       (mark) => `${mark.name} ${fixed(mark.time_s * 1e6, 1)} µs, ${fixed(mark.height_v, 3)} V`,
     );
     this.box.setAttribute(
       "aria-label",
-      `Records of ${this.heading.textContent}: ${overlay.traces.length} curves; ${marks.join("; ")}`,
+      `Waveforms of ${this.heading.textContent}: ${overlay.traces.length} curves; ${marks.join("; ")}`,
     );
     if (!this.box.clientWidth || !this.box.clientHeight) return;
     const host = {

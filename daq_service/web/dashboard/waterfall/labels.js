@@ -22,7 +22,7 @@ export function thicknessOf({ velocity_m_per_s: velocity, delay_s: delay, align 
   const from = align === "trigger" ? delay : 0;
   return {
     span: /** @type {Span} */ (seconds.map((value) => (1e3 * velocity * (value - from)) / 2)),
-    label: align === "trigger" ? "Thickness (mm)" : "Thickness beyond it (mm)",
+    label: align === "trigger" ? "Thickness (mm)" : "Thickness after it (mm)",
   };
 }
 
@@ -33,7 +33,7 @@ export function setsOf({ first_set, last_set }, row) {
 
 /** @param {any} header */
 function values({ shown, baseline_sets }) {
-  if (shown === "normalised") return "each row over its greatest magnitude";
+  if (shown === "normalised") return "each row divided by its maximum magnitude";
   return shown === "difference"
     ? `difference from the mean of ${baseline_sets} sets of the baseline`
     : "sensor voltage";
@@ -41,13 +41,13 @@ function values({ shown, baseline_sets }) {
 
 /** Return what the image shows. @param {any} header */
 export function subtitleOf(header) {
-  const each = header.row_sets === 1 ? "a set a row" : `${header.row_sets} sets a row`;
-  const pendingText = header.pending_sets ? ` · ${header.pending_sets} sets are still being read` : "";
+  const each = header.row_sets === 1 ? "one set per row" : `${header.row_sets} sets per row`;
+  const pendingText = header.pending_sets ? ` · ${header.pending_sets} sets are loading` : "";
   const unreadableText = header.unreadable_sets.length
     ? ` · cannot be read: set ${header.unreadable_sets.join(", ")}`
     : "";
   return (
-    `${values(header)}, ${each}, ${significant(1e6 * header.cell_s)} µs a cell: its sample furthest ` +
+    `${values(header)}, ${each}, ${significant(1e6 * header.cell_s)} µs per cell, the sample furthest ` +
     `from zero${pendingText}${unreadableText}`
   );
 }
@@ -79,7 +79,7 @@ export function readoutOf({ header, minimum, maximum }, { hour, seconds }, timel
     `${fixed(1e6 * seconds, 2)} µs from the ${anchorOf(header)}`,
     thickness ? `${fixed(thickness.span[0], 3)} mm` : "",
   ];
-  if (row < 0) return [...parts, "no record"].filter(Boolean).join(" · ");
+  if (row < 0) return [...parts, "no waveform"].filter(Boolean).join(" · ");
   const cell = row * header.columns + column;
   const unit = header.unit === "V" ? " V" : "";
   const found =

@@ -69,13 +69,19 @@ export function paint(context, image, hours, seconds, limit) {
   context.putImageData(imageData, 0, 0);
 }
 
-/** @param {CanvasRenderingContext2D} context @param {Over} over @param {Span} hours @param {Span} seconds */
+/**
+ * Paint the overlays on an empty canvas: on paper a canvas that is cleared would hide the image behind it.
+ *
+ * @param {CanvasRenderingContext2D} context
+ * @param {Over} over
+ * @param {Span} hours
+ * @param {Span} seconds
+ */
 export function paintOver(context, over, hours, seconds) {
   const { width, height } = context.canvas;
   const ratio = devicePixelRatio;
   const x = (/** @type {number} */ hour) => ((hour - hours[0]) / (hours[1] - hours[0])) * width;
   const y = (/** @type {number} */ time) => ((time - seconds[0]) / (seconds[1] - seconds[0])) * height;
-  context.clearRect(0, 0, width, height);
   for (const gap of over.gaps) {
     const left = x(gap.from_h);
     const wide = Math.max(3 * ratio, x(gap.to_h) - left);

@@ -35,7 +35,7 @@ import { anchorOf, labelOf, readoutOf, subtitleOf, thicknessOf } from "./labels.
 const MAX_ROWS = 512;
 const MAX_COLUMNS = 1024;
 const GUTTER = { left: 58, right: 12, rightOfThickness: 54, top: 6, bottom: 40, bottomOfDates: 54 };
-const SHOWN = { volts: "Volts", normalised: "Normalised", difference: "Difference from the baseline" };
+const SHOWN = { volts: "Volts", normalised: "Normalized", difference: "Difference from the baseline" };
 const OVER = { tracks: "Tracks", alarms: "Alarms", gaps: "Missing sets", bad: "Bad sets" };
 
 /** @param {string} label @param {(value: string) => void} act */
@@ -84,7 +84,7 @@ export class SolimonWaterfall extends HTMLElement {
       this.host.go({ align: /** @type {any} */ (align), from_wf_us: null, to_wf_us: null }),
     );
     this.shown = choice("Values of the waterfall", (shown) => this.host.go({ shown: /** @type {any} */ (shown) }));
-    this.resetButton = button("Whole record", () => this.host.go({ from_wf_us: null, to_wf_us: null }));
+    this.resetButton = button("Full waveform", () => this.host.go({ from_wf_us: null, to_wf_us: null }));
     this.toggle = button("Table", () => this.host.go({ tables: toggled(this.host.view().tables, "waterfall") }), {
       "aria-label": "Table of: Waterfall",
     });
@@ -99,7 +99,7 @@ export class SolimonWaterfall extends HTMLElement {
       el("span", { class: "waterfall-cross across", hidden: true }),
       el("span", { class: "waterfall-cross down", hidden: true }),
     ];
-    this.emptyText = el("p", { class: "empty", text: "Reading" });
+    this.emptyText = el("p", { class: "empty", text: "Loading" });
     this.box.append(this.axes, this.imageCanvas, this.over, ...this.cross, this.emptyText);
     this.tableBox = el("div", {
       class: "table-wrap",
@@ -241,9 +241,7 @@ export class SolimonWaterfall extends HTMLElement {
       columns: Math.min(MAX_COLUMNS, Math.max(16, Math.round(area.height * devicePixelRatio))),
     };
     const missingReason =
-      shown === "difference" && !this.host.hasBaseline()
-        ? `Position ${position} has no baseline yet to differ from`
-        : "";
+      shown === "difference" && !this.host.hasBaseline() ? `Position ${position} has no baseline yet` : "";
     return { position, method, query, missingReason };
   }
 
@@ -265,7 +263,7 @@ export class SolimonWaterfall extends HTMLElement {
     const { image } = this;
     const { trouble } = this.loader;
     const drawn = Boolean(image?.header.rows);
-    setText(this.emptyText, trouble || (image ? "No record in these hours" : "Reading"));
+    setText(this.emptyText, trouble || (image ? "No waveform in these hours" : "Loading"));
     this.emptyText.hidden = drawn;
     this.imageCanvas.hidden = this.over.hidden = this.axes.hidden = !drawn;
     this.dataset.drawn = image ? String(image.header.rows) : "";
@@ -333,11 +331,11 @@ export class SolimonWaterfall extends HTMLElement {
     contextOf(this.scale).putImageData(imageCanvas, 0, 0);
     const { limit } = this.loader;
     const ends = [-limit, limit].map(
-      (value) => `${significant(value)} ${header.unit === "V" ? "V" : "of the row's greatest"}`,
+      (value) => `${significant(value)} ${header.unit === "V" ? "V" : "of the row maximum"}`,
     );
     this.legend.replaceChildren(
       el("li", {}, ends[0], this.scale, ends[1]),
-      el("li", {}, el("span", { class: "waterfall-none" }), "no record"),
+      el("li", {}, el("span", { class: "waterfall-none" }), "no waveform"),
       ...this.tracks().map((track) => el("li", {}, swatch(track.color, "line", track.dash), track.label)),
       el("li", {}, swatch("--alarm", "cross"), "bad set"),
     );

@@ -12,7 +12,7 @@ export function tableOf({ header, minimum: lows, maximum: highs }, open) {
   const head = el(
     "tr",
     {},
-    ...["Hour", "Sets", `Least${unit}`, `Greatest${unit}`, "Greatest at (µs)"].map((text) =>
+    ...["Hour", "Sets", `Minimum${unit}`, `Maximum${unit}`, "Maximum at (µs)"].map((text) =>
       el("th", { scope: "col", text }),
     ),
   );
