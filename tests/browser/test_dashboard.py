@@ -142,9 +142,9 @@ def see_the_supply_and_climate(filled, page):
     write_stored_state(filled.folder, stamp_state(off, output="off", age_s=2.0))
     filled.add_environment(N_SETS)
     now = strip.locator('[data-quality="no_communication"]')
-    expect(now).to_contain_text("Supply now")
+    expect(now).to_contain_text("Supply (live)")
     expect(now).to_contain_text(
-        "unknown; off when it was read last; switch-off pending, output may be ON; tripped: no recorder"
+        "unknown; last reading off; switch-off pending, output may be ON; tripped: no recorder"
     )
     (filled.folder / DRIVE_FILE).unlink()
 
@@ -242,14 +242,14 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
     notice = page.locator("#notice")
 
     def order():
-        page.get_by_role("button", name="Finish now").click()
+        page.get_by_role("button", name="Skip to end").click()
         page.get_by_role("button", name="Run to the end").click()
 
     with monkeypatch.context() as late:
         late.setattr("daq_service.commands.deadline.remaining_now_s", lambda row: 0.0)
         order()
         expect(notice).to_contain_text("finish_now expired: not executed")
-        expect(page.locator("#finish")).to_have_text("Finish now")
+        expect(page.locator("#finish")).to_have_text("Skip to end")
     order()
     expect(page.locator("#finish")).to_have_text(SENT)
     # No recorder has closed the one before.
@@ -401,7 +401,9 @@ def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, 
     with page.expect_request("**/static/main.js"):
         page.goto(f"{service.url}?position=B&set=3", wait_until="commit")
     expect(page.locator('.tile[data-position="B"] .figure')).to_have_text(re.compile(r"\d"))
-    expect(page.locator('.tile[data-position="B"]')).to_contain_text(re.compile(r"Chart\s*[\d.]+, limit 59"))
+    expect(page.locator('.tile[data-position="B"]')).to_contain_text(
+        re.compile(r"(control chart|D²) [\d.]+, limit 59")
+    )
     page.locator('.tile[data-position="C"]').click()
     before = asked.index("/static/main.js")
     assert not [path for path in asked[:before] if path.startswith("/api")]

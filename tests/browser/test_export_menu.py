@@ -105,7 +105,7 @@ def test_the_copied_python_of_the_test_has_every_position(page):
 
 
 def test_the_copied_python_has_the_records_of_the_opened_set(page):
-    waves = run_copied(page, "records of the set")["waves"]
+    waves = run_copied(page, "waveforms of the set")["waves"]
     drawn = dashboard(page, "set")
     by_label = dict(zip(drawn["labels"], drawn["volts"], strict=True))
     for shot in range(SHOTS):
@@ -120,7 +120,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
         for of, n_links in (
             ("Time of flight", 2 * len(formats)),
             ("Mahalanobis squared distance", 2 * len(formats)),
-            ("records of the set", len(formats) + 1),
+            ("waveforms of the set", len(formats) + 1),
             ("the test", (6 + 2) * len(formats) + 1),  # six tables; two of them for confirmation sets, too
         ):
             links = opened(page, of).get_by_role("link")

@@ -96,12 +96,12 @@ class TestSets:
         for text in (
             f"{1e6 * feature['tof_pp_s']:.3f} µs",
             f"{assessment['distance_squared']:.3g}",
-            "predictive F",
+            "F limit",
             *assessment["limits"],  # every one by its name
             "21.5 °C",
             f"set_{LAST:06d}",
             "physics twin",
-            "old on the experiment's clock",
+            "old on the test clock",
             "Quality good",
         ):
             expect(panel).to_contain_text(text)
@@ -154,7 +154,7 @@ class TestSets:
 def test_a_view_is_an_address_that_can_be_sent(filled, service, open_page):
     page = open_page(service.url)
     wait_for(page)
-    page.get_by_role("button", name="with C").click()
+    page.get_by_role("button", name="Compare C").click()
     page.get_by_role("button", name="Relative to baseline").click()
     page.get_by_label("Time axis").select_option("utc")
     page.get_by_label("Feature of this chart").select_option("isw_fwhm_s")
@@ -244,7 +244,7 @@ def test_a_missing_answer_is_shown_with_the_age_of_the_data(filled, service, ope
         page.clock.run_for(1000)
     until(lambda: page.clock.run_for(1000) or failing.is_visible(), "the deadline has passed")
     expect(failing).to_contain_text("no answer within 15 s")
-    expect(failing).to_contain_text(re.compile(r"was read \d+ (s|min) ago"))
+    expect(failing).to_contain_text(re.compile(r"were read \d+ (s|min) ago"))
 
 
 def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
@@ -257,7 +257,7 @@ def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, s
     page = context.new_page()
     page.goto(service.url)
     until(lambda: 0 < len(dashboard(page, "charts.distance.x")) <= 20, "the test is drawn in bins")
-    expect(page.locator("#tof")).to_contain_text("least and greatest of 4 sets each")
+    expect(page.locator("#tof")).to_contain_text("mean, min, max of 4 sets each")
     assert OUTLIER in dashboard(page, "charts.distance.opens")
     page.goto(f"{service.url}?from_h=23&to_h=27")
     until(
@@ -317,7 +317,7 @@ def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, serv
     page = context.new_page()
     page.goto(service.url)
     expect(page.locator("#connection")).to_have_text("Live")
-    expect(page.locator("#tof .plot")).to_have_attribute("aria-label", "Time of flight. Reading")
+    expect(page.locator("#tof .plot")).to_have_attribute("aria-label", "Time of flight. Loading")
     found = Axe().run(page)
     assert found.violations_count == 0, found.generate_report()
     context.close()

@@ -126,7 +126,7 @@ def test_a_twin_series_is_drawn_on_the_axis_of_the_test_and_opens_its_set(tests,
     expect(page).to_have_url(re.compile(rf"/tests/twin-of-plate-7/\?position=C&set={last}$"))
     expect(page.locator("#experiment")).to_have_text("Twin of plate 7")
     page.go_back()
-    page.locator("#others").get_by_role("button", name="Take out twin-of-plate-7 C").click()
+    page.locator("#others").get_by_role("button", name="Remove twin-of-plate-7 C").click()
     until(lambda: key not in dashboard(page, "charts")["tof"]["y"], "it is taken out")
     expect(page.locator("#others li")).to_have_count(0)
 

@@ -180,7 +180,7 @@ def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, servi
     filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=3)]))
     page = open_page(service.url, name="ann")
     tile, card = page.locator('#tiles [data-position="D"]'), page.locator("#baseline")
-    expect(tile).to_contain_text("Not judged")
+    expect(tile).to_contain_text("Not assessed")
     expect(tile).to_contain_text(why)
     tile.click()
     expect(card.locator("summary")).to_contain_text("Baseline of D No limits: nothing is judged")

@@ -166,7 +166,7 @@ def test_aligned_pulses_are_on_one_line_for_any_trigger(filled, shared):
     found = dict(zip(psw["hours"], psw["seconds"], strict=True))
     assert found == {hour: pytest.approx(value) for hour, value in features.items()}
     assert view["header"]["align"] == "isw"
-    expect(page.locator("#waterfall")).to_contain_text("a set a row")
+    expect(page.locator("#waterfall")).to_contain_text("one set per row")
 
 
 def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, shared):
@@ -186,7 +186,7 @@ def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, share
     page.mouse.move(
         over["x"] + over["width"] * (filled.due[10].due_h + 0.1) / view["hours"][1], over["y"] + 9
     )
-    expect(readout).to_contain_text("no record")
+    expect(readout).to_contain_text("no waveform")
     page.mouse.click(x, over["y"] + over["height"] / 2)
     expect(page.locator("#set")).to_have_attribute("data-set", "B 6")
     page.keyboard.press("Escape")
@@ -247,7 +247,7 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(shared, open_page):
     until(hours_are_zoomed, "the wheel zooms hours")
     until(time_is_zoomed, "with Shift it zooms time")
     assert "from_wf_us" in query(page)
-    page.locator("#waterfall").get_by_role("button", name="Whole record").click()
+    page.locator("#waterfall").get_by_role("button", name="Full waveform").click()
     assert "from_wf_us" not in query(page)
 
 
@@ -349,7 +349,7 @@ def test_without_tiles_the_page_fills_itself(filled, open_page, monkeypatch):
         header = shown(page)["header"]
         stored = [row.set_index for row in filled.catalogue.rows(SetRow, position="B") if row.file]
         assert header["first_set"] == stored
-        expect(page.locator("#waterfall")).not_to_contain_text("still being read")
+        expect(page.locator("#waterfall")).not_to_contain_text("sets are loading")
 
 
 def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page):
@@ -359,7 +359,7 @@ def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page
             # The service ends before the page does.
             page = open_page(f"{fresh.url}?position=B&shown=difference", forgiven="ERR_CONNECTION_REFUSED")
             empty = page.locator("#waterfall .empty")
-            expect(empty).to_have_text("Position B has no baseline yet to differ from")
+            expect(empty).to_have_text("Position B has no baseline yet")
             event = event_row("baseline_frozen", "assessments", position="B", set_index=0)
             assessment = filled.assessment("B", 0, filled.due[0].due_h)
             filled.catalogue.commit_set(SetCommit(assessments=[assessment], events=[event]))

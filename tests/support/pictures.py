@@ -1,6 +1,7 @@
-"""Every picture of the docs, made from a test on the twin: real commands, the real page, headless Chromium.
+"""Figures of the docs and screens of the page, of a test on the twin: real commands, headless Chromium.
 
-``python -m support.pictures [FOLDER]`` in ``tests/`` writes them where the docs show them, or elsewhere.
+``python -m support.pictures [FOLDER]`` in ``tests/`` writes the figures where the docs show them, or to
+another folder; ``python -m support.pictures --screens FOLDER`` writes the screens for a review of the page.
 The twin's test is seeded and goes on in one folder from hour to hour. A picture is taken once it shows what
 it is taken for, and carries that text with it. Which strike the live waveform shows is a matter of time: it
 is shown ten times a second at most, and here hours take seconds.
@@ -25,7 +26,7 @@ import httpx
 
 from daq_service.processes.data_folder import CONFIGURATION_FILE
 from daq_service.settings.file import load_settings
-from support.browser_pages import DESK, chromium, expect
+from support.browser_pages import DESK, PHONE, chromium, expect
 from support.pseudo_terminal import on_terminal
 from support.served_web import DEADLINE_S, served
 
@@ -50,11 +51,18 @@ class Picture:
     hour
         How far the test is then.
     of
-        Part of the page as a CSS selector (``body``: all of it), or the command whose terminal it is.
+        Part of the page as a CSS selector (``body``: all of it, ``screen``: what a window shows), or the
+        command whose terminal it is.
     shows
         Texts that stand in it: it is not taken before, and they are written into the file.
     position
         Which tile is chosen on the page.
+    view
+        Query of the page's address.
+    press
+        Element that is clicked before, as a CSS selector.
+    phone
+        Whether the window is that of a phone.
     """
 
     file: str
@@ -62,12 +70,16 @@ class Picture:
     of: str
     shows: Sequence[str]
     position: str = "B"
+    view: str = ""
+    press: str = ""
+    phone: bool = False
 
 
-PICTURES = tuple(
-    Picture(**one)
-    for one in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["pictures"]
-)
+LISTS = {
+    name: tuple(Picture(**one) for one in listed)
+    for name, listed in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
+}
+PICTURES = LISTS["pictures"]
 
 
 def parsed_line(path: Path) -> str:
@@ -85,21 +97,27 @@ def source_of(picture: Picture) -> str:
     return f"hour {picture.hour}, {picture.of}: {'; '.join(picture.shows)}"
 
 
-def make(folder: Path) -> None:
+def make(folder: Path, pictures: Sequence[Picture] = PICTURES) -> None:
     """Record the test and write each figure below ``folder``."""
     with tempfile.TemporaryDirectory() as place, chromium() as browser:
         *demo, name = DEMO.split()
         data = Path(place) / name
         began = _on_terminal(*demo, str(data))
-        for picture in sorted(PICTURES, key=lambda picture: picture.hour):
+        for picture in sorted(pictures, key=lambda picture: picture.hour):
             # Does nothing where the test is there already.
             its = str(data / CONFIGURATION_FILE)
-            _on_terminal("record", its, "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(picture.hour))
+            if picture.hour:
+                _on_terminal(
+                    "record", its, "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(picture.hour)
+                )
             path = folder / picture.file
             path.parent.mkdir(parents=True, exist_ok=True)
-            if path.suffix == ".png":
-                with _page(browser, data, picture.hour) as (page, api):
-                    path.write_bytes(_small(_taken(page, api, picture), source_of(picture)))
+            if path.suffix in {".png", ".pdf"}:
+                with _page(browser, data, picture) as (page, api):
+                    taken = _taken(page, api, picture)
+                    path.write_bytes(
+                        page.pdf(format="A4") if path.suffix == ".pdf" else _small(taken, source_of(picture))
+                    )
             else:
                 screen = began if picture.of == "demo" else _on_terminal(picture.of, "--data-dir", str(data))
                 path.write_text(_drawn(screen.replace(place, "~"), picture), encoding="utf-8", newline="\n")
@@ -115,34 +133,47 @@ def _on_terminal(*words: str, **environment: str) -> str:
 
 
 @contextmanager
-def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Client]]:
-    """Open the page of the test in its present state."""
-    settings = load_settings(data / CONFIGURATION_FILE, overrides={"schedule": {"end_h": hour}})
-    with served(settings, data) as service:
-        context = browser.new_context(viewport=DESK, color_scheme="light")
+def _page(browser: Any, data: Path, picture: Picture) -> Iterator[tuple[Any, httpx.Client]]:
+    """Open the page of the test in its present state, at hour 0 without any data."""
+    hours = {"schedule": {"end_h": picture.hour}} if picture.hour else {}
+    settings = load_settings(data / CONFIGURATION_FILE, overrides=hours)
+    with (
+        tempfile.TemporaryDirectory() as empty,
+        served(settings, data if picture.hour else Path(empty)) as service,
+    ):
+        context = browser.new_context(viewport=PHONE if picture.phone else DESK, color_scheme="light")
         page = context.new_page()
         page.set_default_timeout(1000 * DEADLINE_S)
-        page.goto(service.url)
+        page.goto(f"{service.url}{picture.view}")
         with service.client() as api:
             yield page, api
         context.close()
 
 
 def _taken(page: Any, api: httpx.Client, picture: Picture) -> bytes:
+    if picture.hour:
+        _wait_for_charts(page, api, picture)
+    if picture.press:
+        page.locator(picture.press).first.click()
+    whole_page, screen = picture.of == "body", picture.of == "screen"
+    part = page.locator("body" if screen else picture.of)
+    for text in picture.shows:
+        expect(part).to_contain_text(text)
+    return bytes(page.screenshot(full_page=whole_page) if whole_page or screen else part.screenshot())
+
+
+def _wait_for_charts(page: Any, api: httpx.Client, picture: Picture) -> None:
     # As the page asks: of all columns so many sets would come in bins.
     asked = {"points": 1000, "fields": ",".join(CHARTS.values())}
     trend = api.get(f"/api/v1/trends/{picture.position}", params=asked).json()["columns"]
-    page.locator(f'#tiles [data-position="{picture.position}"]').click()
+    if not picture.view:
+        page.locator(f'#tiles [data-position="{picture.position}"]').click()
     expect(page.locator("#waveform")).to_have_attribute("data-sequence", re.compile(r"\d+"))
     for chart, column in CHARTS.items():
         points = sum(value is not None for value in trend[column])
         expect(page.locator(chart)).to_have_attribute("data-points", str(points))
     expect(page.locator("#waterfall")).to_have_attribute("data-drawn", re.compile(r"[1-9]"))
-    expect(page.locator("#waterfall")).not_to_contain_text("still being read")
-    part = page.locator(picture.of)
-    for text in picture.shows:
-        expect(part).to_contain_text(text)
-    return bytes(page.screenshot(full_page=True) if picture.of == "body" else part.screenshot())
+    expect(page.locator("#waterfall")).not_to_contain_text("sets are loading")
 
 
 def _small(png: bytes, description: str) -> bytes:
@@ -174,4 +205,7 @@ def _drawn(screen: str, picture: Picture) -> str:
 
 
 if __name__ == "__main__":
-    make(Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS)
+    if sys.argv[1:2] == ["--screens"]:
+        make(Path(sys.argv[2]), LISTS["screens"])
+    else:
+        make(Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS)

@@ -31,6 +31,8 @@ export class SolimonAlarms extends HTMLElement {
     super();
     /** Status of the command to trust the clock. @type {string | undefined} */
     this.trustClockStatus = undefined;
+    /** Whether the test has finished and nothing strikes. */
+    this.testEnded = false;
     /** @type {any[]} */
     this.items = [];
     /** @type {Map<number, string>} status of our commands, by alarm */
@@ -177,7 +179,7 @@ export class SolimonAlarms extends HTMLElement {
           this.host.open,
         ),
       );
-    if (CONFIRMABLE.has(alarm.kind) && alarm.state !== "normal")
+    if (CONFIRMABLE.has(alarm.kind) && alarm.state !== "normal" && !this.testEnded)
       offer("strike", "strike", "Take confirmation set", (pressed) => this.strikeConfirmation(alarm, pressed), {
         "aria-label": `Strike a confirmation set at ${alarm.position} now`,
       });

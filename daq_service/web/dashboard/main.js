@@ -379,7 +379,12 @@ function showClock(asOf) {
     : 0;
   Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, clockReadAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
-  waveform.setLive(state.recorder !== "finished");
+  const ended = state.recorder === "finished";
+  waveform.setLive(!ended);
+  if (alarmList.testEnded !== ended) {
+    alarmList.testEnded = ended;
+    alarmList.render();
+  }
   pauseControl.update(data.info?.paused ?? null, state.recorder);
   showConnection();
 }
