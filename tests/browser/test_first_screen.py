@@ -133,9 +133,7 @@ def test_the_most_urgent_alarm_is_the_headline(filled, service, page):
     with service.client() as api:
         alarms = {one["position"]: one for one in api.get("/api/v1/alarms").json()["items"]}
     newest = alarms["C"]
-    # The fields of the API, or its message.
-    words, action = newest.get("headline") or newest["message"], newest.get("action", "")
-    sentence = f"{words}, detected at hour 30.0. {action}"
+    sentence = f"{newest['headline']}, detected at hour 30.0. {newest['action']}"
     expect(headline).to_contain_text(sentence)
     expect(headline).to_contain_text("1 more active alarm")
     filled.add_alarm("A", N_SETS - 20, priority="critical", kind="thickness_low")
