@@ -20,7 +20,7 @@ function alarmParts(alarm, others) {
   const detected = `, detected at hour ${hour(alarm.raised_h)}. `;
   const parts = [
     chip(PRIORITIES[alarm.priority]),
-    el("p", {}, el("strong", { text: alarm.headline ?? alarm.message }), detected, alarm.action ?? ""),
+    el("p", {}, el("strong", { text: alarm.headline }), detected, alarm.action),
   ];
   if (others)
     parts.push(

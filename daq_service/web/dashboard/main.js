@@ -311,7 +311,6 @@ function showColumns() {
 /** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */
 function onRead({ alarms, notes: noteRows, transducers, environment, info }) {
   if (alarms) {
-    alarms = alarms.map((alarm) => ({ ...alarm, headline: alarm.headline ?? alarm.message }));
     latest.alarms = alarms;
     alarmList.update(alarms);
     tiles.showAlarms(rankActive(alarms));

@@ -6,9 +6,7 @@ import { STATES, chip } from "./icons.js";
 import { diagnosisText, limitOf } from "./assessment.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-
-const WIDTH = 120;
-const HEIGHT = 36;
+const [WIDTH, HEIGHT] = [120, 36];
 
 /**
  * @typedef {object} Trend of a position, for its sparkline
@@ -34,33 +32,20 @@ function sparkline({ x, y, limit, log, end_h }, alarming) {
   const px = (/** @type {number} */ hour) => (2 + ((WIDTH - 4) * hour) / end_h).toFixed(1);
   const py = (/** @type {number} */ value) =>
     (HEIGHT - 3 - ((HEIGHT - 6) * (value - low)) / (high - low || 1)).toFixed(1);
-  const svg = document.createElementNS(SVG, "svg");
-  const add = (
-    /** @type {Element} */ to,
-    /** @type {string} */ tag,
-    /** @type {Record<string, string>} */ attributes,
-  ) => {
+  const make = (/** @type {string} */ tag, /** @type {Record<string, string>} */ attributes) => {
     const element = document.createElementNS(SVG, tag);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    to.append(element);
+    return element;
   };
-  for (const [key, value] of [
-    ["class", "sparkline"],
-    ["viewBox", `0 0 ${WIDTH} ${HEIGHT}`],
-    ["aria-hidden", "true"],
-  ])
-    svg.setAttribute(key, value);
+  const svg = make("svg", { class: "sparkline", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, "aria-hidden": "true" });
   if (!known.length) return svg;
-  if (limit !== null) add(svg, "path", { class: "sparkline-limit", d: `M0 ${py(scale(limit))}H${WIDTH}` });
-  const points = known.map((k, n) => `${px(x[k])} ${py(values[n])}`);
-  add(svg, "path", { class: "sparkline-line", d: `M${points.join("L")}` });
-  const last = known.length - 1;
-  add(svg, "circle", {
-    class: alarming ? "sparkline-last alarming" : "sparkline-last",
-    cx: px(x[known[last]]),
-    cy: py(values[last]),
-    r: "3",
-  });
+  if (limit !== null) svg.append(make("path", { class: "sparkline-limit", d: `M0 ${py(scale(limit))}H${WIDTH}` }));
+  const points = known.map((k, n) => [px(x[k]), py(values[n])]);
+  const [cx, cy] = points[points.length - 1];
+  svg.append(
+    make("path", { class: "sparkline-line", d: `M${points.join("L")}` }),
+    make("circle", { class: alarming ? "sparkline-last alarming" : "sparkline-last", cx, cy, r: "3" }),
+  );
   return svg;
 }
 

@@ -395,13 +395,14 @@ export class Board {
         y: limit,
       });
     const rule = limits.decides_by === "chart" ? "raises alarms" : "for information";
+    const rate = `design rate ${significant(limits.false_alarms_per_sensor_year)} per transducer-year`;
     this.charts.chart.update({
       x,
       lines,
       name: "MEWMA",
       unit,
       digits: 2,
-      subtitle: `${at} · design rate ${significant(limits.false_alarms_per_sensor_year)} false alarms per transducer-year · ${rule}`,
+      subtitle: `${at} · ${rate} · ${rule}`,
       exported: { fields: ["mewma_statistic"], ...source },
       ...context,
     });

@@ -41,22 +41,19 @@ const MAX_TABLE_ROWS = 500;
  * Return the marks that a chart has: one entry of its legend each, however often it is drawn.
  *
  * @param {Series} series
- * @returns {{color: string, kind: "diamond" | "cross" | "ring" | "line", label: string}[]}
+ * @returns {[string, "diamond" | "cross" | "ring" | "line", string][]} color, kind and label
  */
 function marksIn({ lines, ranges }) {
   const has = (/** @type {string} */ quality) => lines.some((line) => line.quality?.includes(quality));
   // With several positions a mark has the color of each.
   const color = lines.filter((line) => line.points).length > 1 ? "--ink" : "--data";
-  return [
-    ...(lines.some((line) => line.outlier?.includes(true))
-      ? [{ color, kind: /** @type {const} */ ("diamond"), label: "outlier" }]
-      : []),
-    ...(has("bad") ? [{ color: "--alarm", kind: /** @type {const} */ ("cross"), label: "bad" }] : []),
-    ...(has("suspect") ? [{ color, kind: /** @type {const} */ ("ring"), label: "suspect" }] : []),
-    ...[...new Map(ranges.filter((range) => range.inLegend).map((range) => [range.label, range])).values()].map(
-      ({ tone, label }) => ({ color: `--${tone}`, kind: /** @type {const} */ ("line"), label }),
-    ),
-  ];
+  const labels = new Map(ranges.filter((range) => range.inLegend).map(({ label, tone }) => [label, tone]));
+  /** @type {ReturnType<typeof marksIn>} */
+  const marks = [...labels].map(([label, tone]) => [`--${tone}`, "line", label]);
+  if (has("suspect")) marks.unshift([color, "ring", "suspect"]);
+  if (has("bad")) marks.unshift(["--alarm", "cross", "bad"]);
+  if (lines.some((line) => line.outlier?.includes(true))) marks.unshift([color, "diamond", "outlier"]);
+  return marks;
 }
 
 /** @type {Series} */
@@ -185,7 +182,7 @@ export class SolimonChart extends HTMLElement {
             line.label,
           ),
         ),
-        ...marks.map(({ color, kind, label }) => el("li", {}, swatch(color, kind), label)),
+        ...marks.map(([color, kind, label]) => el("li", {}, swatch(color, kind), label)),
       );
     }
     // Draw last, when all surrounding elements have their size.
