@@ -136,8 +136,8 @@ def test_another_test_that_cannot_be_shown_is_reported_in_the_list(service, open
     drawn(page)
     rows = page.locator("#others li")
     expect(rows).to_have_count(2)
-    expect(rows.nth(0)).to_contain_text("not read: There is no data folder")
-    expect(rows.nth(1)).to_contain_text("not read: this service has no nobody B")
+    expect(rows.nth(0)).to_contain_text("not updating: There is no data folder")
+    expect(rows.nth(1)).to_contain_text("not updating: this service has no nobody B")
     assert list(dashboard(page, "charts")["tof"]["y"])[:2] == ["tof_pp_us", "tof_pp_us C"]
 
 
