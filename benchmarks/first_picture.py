@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))  # the invented test and the browser are those of the tests
@@ -107,7 +107,7 @@ def create_filled_test(folder: Path) -> Path:
 def visit_times(url: str, times: int) -> dict[str, list[float]]:
     """Return the milliseconds of each visit."""
     times_by_name: dict[str, list[float]] = {"document alone": []}
-    with httpx.Client(base_url=url) as api:
+    with httpx2.Client(base_url=url) as api:
         for _ in range(times):
             start_s = time.perf_counter()
             api.get("/").raise_for_status()

@@ -26,7 +26,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import numpy as np
 
 from analysis.waves.features import EXTRACTOR_VERSION
@@ -143,7 +143,7 @@ async def measure_answers(folder: Path, asked_for: list[tuple[int, int]]) -> lis
     taken, app = [], create_app(one_position(), folder)
     async with (
         app.router.lifespan_context(app),
-        httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://127.0.0.1") as client,
+        httpx2.AsyncClient(transport=httpx2.ASGITransport(app), base_url="http://127.0.0.1") as client,
     ):
         await client.get("/api/v1/trends/B?points=1")  # what is loaded once
         for first, last in asked_for:

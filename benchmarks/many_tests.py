@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the invented test is that of the tests
 from support.filled_folder import FilledFolder
@@ -112,9 +112,9 @@ def measure(base: Path, tests: int, sets: int) -> dict[str, Any]:
     """Return everything that `main` prints."""
     steps: dict[str, dict[str, int]] = {}
     with service(base, create_folders(base, tests, sets)) as served, ExitStack() as stack:
-        limits = httpx.Limits(max_connections=tests + 1)  # each stream takes one
+        limits = httpx2.Limits(max_connections=tests + 1)  # each stream takes one
         # Nothing is encrypted: reading all certificates would take longer than the answers.
-        client = httpx.Client(base_url=served.url, timeout=60.0, verify=False, limits=limits)
+        client = httpx2.Client(base_url=served.url, timeout=60.0, verify=False, limits=limits)
         stack.enter_context(client)
         steps["begun"] = served.use()
         apis = [row["api"] for row in client.get("/api/v1/tests").raise_for_status().json()["items"]]

@@ -204,7 +204,8 @@ def as_markdown(rows: list[Row]) -> str:
     ]
     for sensor in (*SENSORS, "none"):
         lines += ["", f"## Sensor: {sensor}", ""]
-        lines += ["| Model | Patch | " + " | ".join(f"{depth:.0%}" for depth in DEPTHS) + " | Change |"]
+        depths = " | ".join(f"{100 * depth:.0f} %" for depth in DEPTHS)
+        lines += [f"| Model | Patch | {depths} | Change |"]
         lines += ["|---|---|" + "---|" * (len(DEPTHS) + 1)]
         for model, patch in dict.fromkeys((row.model, row.patch) for row in rows if row.sensor == sensor):
             matching = [row for row in rows if (row.model, row.patch, row.sensor) == (model, patch, sensor)]

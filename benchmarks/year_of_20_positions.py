@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 import numpy as np
 
 from analysis.diagnosis.diagnose import Diagnosis
@@ -397,10 +397,10 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
     """Return seconds of every answer by route, without a socket, and of the stream's catch-up."""
     app, chance = create_app(settings, folder), random.Random(0)
     taken: dict[str, list[Seconds]] = {}
-    transport = httpx.ASGITransport(app)
+    transport = httpx2.ASGITransport(app)
     async with (
         app.router.lifespan_context(app),
-        httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1", verify=False) as client,
+        httpx2.AsyncClient(transport=transport, base_url="http://127.0.0.1", verify=False) as client,
     ):
         for path, methods in app.openapi()["paths"].items():
             if "get" not in methods or path.startswith(LEFT_OUT):
@@ -427,9 +427,9 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
     return taken
 
 
-async def _pages_s(client: httpx.AsyncClient, queries_by_path: str) -> AsyncIterator[Seconds]:
+async def _pages_s(client: httpx2.AsyncClient, queries_by_path: str) -> AsyncIterator[Seconds]:
     """Yield seconds of the first pages of a listing, or of the one answer."""
-    url = httpx.URL(queries_by_path)
+    url = httpx2.URL(queries_by_path)
     for _ in range(PAGES):
         began = _now()
         answer = await client.get(url)

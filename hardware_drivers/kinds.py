@@ -99,7 +99,8 @@ class Opening:
         The whole configuration as nested tables, for kinds that must know the specimen: simulators,
         recordings.
     preparing
-        Told what takes long ("compiling"), and whether it begins (True) or is done; by any thread.
+        Called while the instrument is opened with what takes long ("compiling") and its progress: True while
+        it goes on, False when it is done.
     """
 
     clock: Clock

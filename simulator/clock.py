@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
+LATE_S = 2.0
+"""A clock that is later than this does not keep its pace."""
 IDLE_INTERVAL_S = 0.2
 """Longest wait between two calls of ``idle`` (`hardware_drivers.instruments.Clock`)."""
 
@@ -39,8 +41,9 @@ class SimulatedClock:
         self._pace_h_per_s = pace_h_per_s
         self._mono_ns, self._sleep = mono_ns, sleep
         # Where experiment time met wall time last: pacing is measured from here, so that the
-        # time spent on striking and storing is part of the pace and not added to it.
-        self._anchor = (start_utc_ns, mono_ns())
+        # time spent on striking and storing is part of the pace and not added to it. The first wait sets
+        # it: a rig takes a while to open.
+        self._anchor: tuple[int, int] | None = None
 
     def utc_ns(self) -> int:
         """Return the experiment time as UTC in ns since the Unix epoch."""
@@ -54,16 +57,25 @@ class SimulatedClock:
         """Stop pacing: later waits jump to their end."""
         self._pace_h_per_s = None
 
+    def measure_late_pace_h_per_s(self) -> float | None:
+        """Return the mean pace in h per s since the first wait if the set one is not kept, else None."""
+        if self._pace_h_per_s is None or self._anchor is None:
+            return None
+        test_h, wall_s = (
+            (self._utc_ns - self._anchor[0]) / NS_PER_H,
+            (self._mono_ns() - self._anchor[1]) / NS_PER_S,
+        )
+        return test_h / wall_s if wall_s - test_h / self._pace_h_per_s > LATE_S else None
+
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
         """Wait until ``utc_ns`` at the set pace, or jump; return False once ``idle`` returns False.
 
         ``idle`` is called at least every 0.2 s of wall time, and at the end. If it ends the wait early, the
         time does not advance. A past time is reached at once.
         """
+        anchor = self._anchor = self._anchor or (self._utc_ns, self._mono_ns())
         while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
-            due_wall_ns = (
-                self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S
-            )
+            due_wall_ns = anchor[1] + (utc_ns - anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S
             left_s = (due_wall_ns - self._mono_ns()) / NS_PER_S
             if left_s <= 0.0:
                 break

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from daq_service.catalogue import check_owner
@@ -18,14 +17,14 @@ from daq_service.processes.data_folder import build_new_folder_path, prepare_dat
 from daq_service.processes.printing import print_line, print_result
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import run_rig_doubles
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+from daq_service.web.port import bind_socket
 
 NUISANCE = "laboratory"
 """Level of the twin's disturbances: a quieter rig than any real one would promise too much."""
 WATCHABLE_PACE_H_PER_S = 5.0
 """The 350 h pass in 70 s."""
-
-PATIENCE_S = 16.0
-"""Longest wait for the first set before the dashboard's address is printed."""
 
 
 def run_demo(
@@ -44,13 +43,15 @@ def run_demo(
     """Run `solimon demo`: block until the test ends, or until Ctrl-C if the dashboard stays open.
 
     Without ``data_dir`` the data go to a new folder in the working directory. Prints progress and a summary,
-    as JSON with ``as_json``. Returns the exit code. Raises UsageError for an invalid option or rig,
-    StorageError for an unusable folder.
+    as JSON with ``as_json``. Returns the exit code. Raises UsageError for an invalid option or rig, BusyError
+    for a port in use, StorageError for an unusable folder.
     """
     started_s = _read_process_start_s()
     web, stay = not no_web, not exit_when_done and not no_web
     browser = not (no_browser or exit_when_done)
     pace = pace if pace is not None or not stay else WATCHABLE_PACE_H_PER_S
+    if web:
+        bind_socket(load_settings(None).web.host, port, locked=True).close()
     with run_rig_doubles(rig, _build_overrides(hours, seed, pace)) as running:
         folder = (data_dir or build_new_folder_path("demo")).absolute()
         settings = running.settings
@@ -64,18 +65,18 @@ def run_demo(
                 report_full_disk(folder, settings.storage, progress.line)
                 for note in running.notes:
                     progress.line(note)
-                address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
+                finished = threading.Event()
 
                 def on_message(child: str, message: Message) -> None:
                     """Report a child's message; print the summary at the end of the test if ``stay``."""
                     progress.report_message(child, message)
                     if message["event"] == "listening":
-                        address_printer.note_address(message["url"])
-                    elif message["event"] == "progress":
-                        address_printer.note_first_set()
+                        opened = ", opened in your browser" if browser and open_page(message["url"]) else ""
+                        progress.line(f"dashboard: {message['url']}  (Ctrl-C ends{opened})")
                     elif message["event"] == "stopped":
                         progress.line(STOPPED)
                     elif message["event"] == "finished" and stay:
+                        finished.set()
                         for line in format_summary_lines(summarise_run(settings, folder), folder):
                             progress.line(line)
                         progress.line("The test is done; the dashboard stays until Ctrl-C.")
@@ -92,18 +93,26 @@ def run_demo(
             interrupted = stop.is_set()
         if code != EXIT_OK:
             return code
-        if interrupted:
+        if interrupted and finished.is_set() and not as_json:
+            print_line(f"The test is complete; its data are in {folder}.")
+            return EXIT_OK
+        if interrupted and not finished.is_set():
             print_line(f"interrupted; what was taken is in {folder}", err=as_json)
             return EXIT_INTERRUPTED
-        summary = summarise_run(settings, folder)
-        elapsed_s = time.time() - started_s
-        cost = summary["cost"]
-        if isinstance(cost, dict):  # starting Python, opening the test, and this summary
-            cost["other_processes_s"] = round(elapsed_s - sum_stage_seconds(cost), 3)
-        result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
-        lines = [*format_summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
-        print_result(result, lines, as_json=as_json)
+        _print_summary(settings, folder, started_s, as_json=as_json)
         return EXIT_OK
+
+
+def _print_summary(settings: Settings, folder: Path, started_s: float, *, as_json: bool) -> None:
+    """Print the summary of a completed test, with the seconds since the process started (Unix time in s)."""
+    summary = summarise_run(settings, folder)
+    elapsed_s = time.time() - started_s
+    cost = summary["cost"]
+    if isinstance(cost, dict):  # starting Python, opening the test, and this summary
+        cost["other_processes_s"] = round(elapsed_s - sum_stage_seconds(cost), 3)
+    result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
+    lines = [*format_summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
+    print_result(result, lines, as_json=as_json)
 
 
 def _build_overrides(
@@ -136,50 +145,3 @@ def _read_process_start_s() -> float:
     except (OSError, AttributeError):
         # No /proc (Windows, macOS): the interpreter's own clock started a few ms later.
         return time.time() - time.process_time()
-
-
-class _AddressPrinter:
-    """Prints the dashboard's address and opens it once there is data to see.
-
-    On a fresh machine the recorder compiles its kernels first; should that take long, the address is
-    printed all the same.
-    """
-
-    def __init__(self, print_line: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
-        """Start the timer that ends the wait for the first set after `PATIENCE_S`.
-
-        ``print_line`` prints the address; ``open_page`` returns whether it opened the page.
-        """
-        self._print_line, self._open_page = print_line, open_page
-        self._lock = threading.Lock()
-        self._url: str | None = None
-        self._recording = False
-        self._patience = threading.Timer(PATIENCE_S, self.note_first_set)
-        self._patience.daemon = True
-        self._patience.start()
-
-    def note_address(self, url: str) -> None:
-        """Store the address of the web service; print it if the first set was noted or its wait has ended."""
-        with self._lock:
-            self._url = url
-            self._print_address()
-
-    def note_first_set(self) -> None:
-        """Note that data exist, cancel the timer, and print the address once it is known.
-
-        The timer calls it after `PATIENCE_S` if no set was stored by then.
-        """
-        with self._lock:
-            self._recording = True
-            self._patience.cancel()
-            self._print_address()
-
-    def _print_address(self) -> None:
-        """Print the address and open the page, once only, if the address is known and data exist.
-
-        The caller holds the lock.
-        """
-        if self._url is not None and self._recording:
-            opened = ", opened in your browser" if self._open_page(self._url) else ""
-            self._print_line(f"dashboard: {self._url}  (Ctrl-C ends{opened})")
-            self._url = None

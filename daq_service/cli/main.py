@@ -22,6 +22,7 @@ from daq_service.errors import (
     StorageError,
     StorageUnavailableError,
 )
+from daq_service.processes.installation import refuse_hidden_packages
 from daq_service.settings.foreign_text import escape_output
 
 
@@ -82,6 +83,7 @@ def main() -> None:
     Control characters in the output are escaped.
     """
     try:
+        refuse_hidden_packages()
         sys.exit(cli.main(standalone_mode=False))
     except click.ClickException as error:
         error.show()

@@ -45,13 +45,15 @@ from daq_service.processes.data_folder import (
     require_data_folder,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
-from daq_service.processes.heartbeat import create_web_beat
+from daq_service.processes.heartbeat import Heartbeat, create_web_beat
+from daq_service.processes.installation import require_extras
 from daq_service.processes.notifications.service import notify_while_web_is_silent
 from daq_service.processes.printing import print_line
 from daq_service.processes.service_manager import forward_to_service_manager, notify_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
+from daq_service.web.port import bind_socket
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -107,10 +109,15 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     ------
     UsageError
         The configuration, a receiver, or the protection of the web service is invalid.
+    BusyError
+        The port is in use.
     StorageError
         The folder cannot be used, or belongs to another test.
     """
     settings, folder = load_settings_and_folder(config, data_dir)
+    _require_twin(settings)
+    if not no_web:
+        bind_socket(settings.web.host, settings.web.port if port is None else port, locked=True).close()
     prepare_data_folder(folder)
     check_owner(settings, folder)
     if not no_web and settings.web.is_reachable:
@@ -151,6 +158,15 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         with notify_while_web_is_silent(settings, folder, monitors_recorder=True):
             code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
+
+
+def _require_twin(settings: Settings) -> None:
+    """Raise MissingExtraError if an instrument is the twin and its packages are not installed."""
+    from daq_service.rig.twin import KIND
+    from daq_service.settings.instruments import list_instruments
+
+    if any(item.kind is KIND for item in list_instruments(settings)):
+        require_extras("twin")
 
 
 def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
@@ -220,6 +236,7 @@ def record_alone(
     from daq_service.recording.session import record_test
 
     settings, folder = load_settings_and_folder(config, data_dir)
+    _require_twin(settings)
     prepare_data_folder(folder, may_create=not restart_reason)
     with stop_on_signals() as stop, hold_recorder_lock(folder), ExitStack() as stack:
         log_to_file(folder / "logs" / "recorder.log")
@@ -236,7 +253,7 @@ def record_alone(
             finished = record_test(
                 settings,
                 folder,
-                partial(_open_rig_without_supply, report),
+                partial(_open_rig_without_supply, report, folder),
                 stop=stop,
                 report=report,
                 options=SessionOptions(
@@ -258,18 +275,24 @@ def record_alone(
 
 @contextmanager
 def _open_rig_without_supply(
-    report: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
+    report: Callable[..., None], folder: Path, settings: Settings, clock: Clock, epoch_utc_ns: int
 ) -> Iterator[Rig]:
     """Open the rig without the supply, whose port belongs to the supply process; close it at the end.
 
     Existing objects are excluded from garbage collection (`gc.freeze`), since they stay until the process
     ends. Raises InstrumentError if an instrument cannot be opened.
     """
+    from daq_service.recording.session import compute_longest_call_s
     from daq_service.rig.open_rig import open_rig
 
+    deadline_s = compute_longest_call_s(settings) + settings.rig.stall_timeout_s
+    heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report)
+    heartbeat.stage = "opening"
+
     def report_preparation(what: str, begins: bool) -> None:
-        """Report the start or the end of a preparation, such as compiling, to the recorder's reporter."""
+        """Report progress or end of a preparation, such as compiling, to the reporter and the heartbeat."""
         report("preparing" if begins else "prepared", what=what)
+        heartbeat.beat(what if begins else "opening the rig", at_once=True)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.copy_without_supply()})
     with open_rig(without_supply, clock, epoch_utc_ns, preparing=report_preparation) as rig:

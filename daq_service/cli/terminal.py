@@ -80,7 +80,8 @@ class ProgressReport:
         self._live: Live | None = None
         self._lock = threading.RLock()
         self._doing, self._doing_since_s = "starting", machine.mono_s()
-        self._preparing: list[tuple[str, float]] = []
+        self._preparing_since_s: float | None = None
+        self._pace = ""
         self._progress, self._logged_s = "", -float("inf")
         self._gap: tuple[str, int, int] | None = None
         self._lines: queue.SimpleQueue[tuple[str, bool, str] | None] = queue.SimpleQueue()
@@ -156,10 +157,10 @@ class ProgressReport:
         from rich.text import Text
 
         with self._lock:
-            doing, since_s = self._preparing[-1] if self._preparing else (self._doing, self._doing_since_s)
+            doing, since_s = self._doing, self._doing_since_s
         took_s = self._machine.mono_s() - since_s
         long = f"{doing}; {format_duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
-        text = "; ".join(filter(None, (self._progress, long))) or doing
+        text = "; ".join(filter(None, (self._progress, self._pace, long))) or doing
         return Text(escape_to_one_line(text), no_wrap=True, overflow="ellipsis")
 
     # Events of a recorder, direct or through its supervisor -----------------------------------------------
@@ -186,23 +187,24 @@ class ProgressReport:
         elif child == "recorder":
             self(message["event"], **values)
 
-    def _report_beat(self, *, doing: str, **_: object) -> None:
-        """Store the recorder's activity ``doing``, and when it changed."""
+    def _report_beat(self, *, doing: str, pace_h_per_s: float | None = None, **_: object) -> None:
+        """Store the recorder's activity ``doing``, when it changed, and a pace slower than the set one."""
+        self._pace = "" if pace_h_per_s is None else f"slower than set: {pace_h_per_s:.2g} h per s"
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
     def _report_preparing(self, *, what: str) -> None:
-        """Store a preparation that has started, such as a compilation, with its start time."""
-        self._preparing.append((what, self._machine.mono_s()))
+        """Store the progress of a preparation, such as a compilation, and when it started."""
+        self._preparing_since_s = self._preparing_since_s or self._machine.mono_s()
+        self._report_beat(doing=what)
 
     def _report_prepared(self, *, what: str) -> None:
-        """Remove a finished preparation; print its duration if it took `SHOWN_AFTER_S` or longer."""
-        started = [item for item in self._preparing if item[0] == what]
-        if started:  # else a line was lost on the way
-            self._preparing.remove(started[-1])
-            took_s = self._machine.mono_s() - started[-1][1]
-            if took_s >= SHOWN_AFTER_S:
-                self._queue_line(f"{what}: took {format_duration(took_s)}")
+        """Print the duration of a finished preparation if it took `SHOWN_AFTER_S` or longer."""
+        now_s = self._machine.mono_s()
+        took_s = now_s - (self._preparing_since_s or now_s)
+        self._preparing_since_s = None
+        if took_s >= SHOWN_AFTER_S:
+            self._queue_line(f"{what}: took {format_duration(took_s)}")
 
     def _report_progress(self, *, done: int, planned: int, due_h: float) -> None:
         """Store the hour and number of the last set; without a terminal print it every `LOGGED_EVERY_S`.

@@ -10,8 +10,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from daq_service.client.errors import ClientError, RefusedError, UnreachableError
-from daq_service.client.experiment import Event, Experiment
+from daq_service.processes.installation import require_extras
+
+require_extras("client")  # before the modules that import its packages
+from daq_service.client.errors import ClientError, RefusedError, UnreachableError  # noqa: E402
+from daq_service.client.experiment import Event, Experiment  # noqa: E402
 
 __all__ = ["ClientError", "Event", "Experiment", "RefusedError", "UnreachableError", "open"]
 

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-import httpx
+import httpx2
 
 from daq_service.client.errors import RefusedError, UnreachableError
 from daq_service.client.transport import proxy_note
@@ -45,7 +45,7 @@ class Connection:
     """
 
     def __init__(
-        self, http: httpx.Client, *, events: Events | None = None, closed: threading.Event | None = None
+        self, http: httpx2.Client, *, events: Events | None = None, closed: threading.Event | None = None
     ) -> None:
         self.http = http
         self._events = events
@@ -78,7 +78,7 @@ class Connection:
             raise _build_foreign_service_error(response) from None
         return answer
 
-    def response(self, path: str, **parameters: Parameter) -> httpx.Response:
+    def response(self, path: str, **parameters: Parameter) -> httpx2.Response:
         """Request a path below ``/api/v1/`` and return the response; parameters that are None are left out.
 
         Raises
@@ -89,7 +89,7 @@ class Connection:
         parameters_given = {name: value for name, value in parameters.items() if value is not None}
         try:
             response = self.http.get(API + path, params=parameters_given)
-        except httpx.RequestError as error:
+        except httpx2.RequestError as error:
             url = self.http.base_url
             remedy = "start `solimon run` or `solimon serve`; SSL_CERT_FILE names certificates of your own"
             raise UnreachableError(f"{url} does not answer{proxy_note(url)} ({error}); {remedy}") from error
@@ -161,7 +161,7 @@ class Connection:
                     for event in parse_events(split_lines(response.iter_bytes())):
                         after = event["id"]
                         yield event
-            except httpx.RequestError as error:
+            except httpx2.RequestError as error:
                 reason = str(error)
             if reason not in ("", last_reason):
                 log.warning("no events from %s%s, asked again: %s", url, proxy_note(url), reason)
@@ -169,7 +169,7 @@ class Connection:
             self._closed.wait(RETRY_S)
 
 
-def raise_for_error_response(response: httpx.Response) -> None:
+def raise_for_error_response(response: httpx2.Response) -> None:
     """Raise RefusedError with status, problem type and reason if a response is no success; else return None.
 
     Without a problem of RFC 9457 in it, the reason is that the address is not a service of solimon.
@@ -184,7 +184,7 @@ def raise_for_error_response(response: httpx.Response) -> None:
     raise RefusedError(response.status_code, kind, reason)
 
 
-def _build_foreign_service_error(response: httpx.Response) -> RefusedError:
+def _build_foreign_service_error(response: httpx2.Response) -> RefusedError:
     """Build the RefusedError of an answer that is not solimon's, with address, status and proxy."""
     status = f"{response.url} answers {response.status_code}{proxy_note(response.url)}"
     reason = f"{status}; give the address of a service of solimon"

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
+import httpx2
 from anyio.from_thread import start_blocking_portal
 from fastapi import FastAPI
 
@@ -34,7 +34,7 @@ def open_folder_connection(folder: Path) -> Connection:
     with open_catalogue(folder) as catalogue:
         settings = restore_settings(catalogue.read_experiment().configuration)
     app = create_app(settings, folder, no_person=True)
-    http = httpx.Client(base_url="http://127.0.0.1", transport=InProcess(app), headers=UNCOMPRESSED)
+    http = httpx2.Client(base_url="http://127.0.0.1", transport=InProcess(app), headers=UNCOMPRESSED)
     events = CatalogueEvents(find_app_context(app).catalogue_access)
     closed = threading.Event()
 
@@ -57,31 +57,31 @@ def open_folder_connection(folder: Path) -> Connection:
     return Connection(http, events=follow_events, closed=closed)
 
 
-class InProcess(httpx.BaseTransport):
+class InProcess(httpx2.BaseTransport):
     """Transport of requests to an application, on a separate event loop, as a notebook already runs one."""
 
     def __init__(self, app: FastAPI) -> None:
         self._app = app
-        self._asgi = httpx.ASGITransport(app)
+        self._asgi = httpx2.ASGITransport(app)
         self._portal_context = start_blocking_portal()
         self._portal = self._portal_context.__enter__()
 
-    def handle_request(self, request: httpx.Request) -> httpx.Response:
+    def handle_request(self, request: httpx2.Request) -> httpx2.Response:
         """Return the application's complete response to a request.
 
         Block until the response is there; errors of the application are raised.
         """
         return self._portal.call(self._answer, request)
 
-    async def _answer(self, request: httpx.Request) -> httpx.Response:
+    async def _answer(self, request: httpx2.Request) -> httpx2.Response:
         """Call the application with a request and return its complete response, read into memory."""
-        asgi_request = httpx.Request(
+        asgi_request = httpx2.Request(
             request.method, request.url, headers=request.headers, content=request.read()
         )
         response = await self._asgi.handle_async_request(asgi_request)
         content = await response.aread()
-        return httpx.Response(
-            response.status_code, headers=response.headers, stream=httpx.ByteStream(content)
+        return httpx2.Response(
+            response.status_code, headers=response.headers, stream=httpx2.ByteStream(content)
         )
 
     def close(self) -> None:

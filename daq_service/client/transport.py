@@ -1,6 +1,6 @@
 """HTTP client of an address: loopback directly, others by the proxies of the environment.
 
-httpx itself reads every variable, also those for other addresses, raises raw errors for them, and supports
+httpx2 itself reads every variable, also those for other addresses, raises raw errors for them, and supports
 fewer forms of NO_PROXY.
 """
 
@@ -13,7 +13,7 @@ from ipaddress import ip_address, ip_network
 from pathlib import Path
 from urllib.request import getproxies, proxy_bypass
 
-import httpx
+import httpx2
 
 from daq_service.client.errors import ClientError
 
@@ -21,7 +21,7 @@ LOOPBACK = ("localhost", "*.localhost", "127.0.0.0/8", "::1", "::ffff:127.0.0.0/
 """Addresses of this computer, as entries of NO_PROXY."""
 
 
-def create_http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
+def create_http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx2.Client:
     """Create an HTTP client of an address, without opening a connection.
 
     The environment sets only proxies and certificates: passwords of a ``.netrc`` are not used. ``timeout_s``
@@ -34,8 +34,8 @@ def create_http_client(address: str, *, headers: dict[str, str], timeout_s: floa
     """
     variable = ""
     try:
-        variable, proxy = find_proxy(url := httpx.URL(address))
-        return httpx.Client(
+        variable, proxy = find_proxy(url := httpx2.URL(address))
+        return httpx2.Client(
             base_url=address,
             headers=headers,
             timeout=timeout_s,
@@ -44,16 +44,16 @@ def create_http_client(address: str, *, headers: dict[str, str], timeout_s: floa
             trust_env=False,
         )
     except OSError as error:  # ssl.SSLError is one
-        name = next(filter(os.environ.get, CERTIFICATES), "the package certifi")
+        name = next(filter(os.environ.get, CERTIFICATES), "the trust store of this system")
         raise ClientError(f"{name} names no readable certificates ({error}); correct or unset it") from error
-    except (httpx.InvalidURL, ImportError, ValueError) as error:
+    except (httpx2.InvalidURL, ImportError, ValueError) as error:
         if not variable:
             raise ClientError(f"{address!r}: {error}; give an address like http://127.0.0.1:8750") from error
         remedy = "correct it, or add the host to NO_PROXY"
         raise ClientError(f"{variable} names a proxy that cannot be used ({error}); {remedy}") from error
 
 
-def find_proxy(url: httpx.URL) -> tuple[str, str | None]:
+def find_proxy(url: httpx2.URL) -> tuple[str, str | None]:
     """Find the proxy of an address: return the environment variable that names it, and its URL.
 
     Empty and None: no proxy, as for loopback addresses and those in ``NO_PROXY``. For a proxy that only the
@@ -70,7 +70,7 @@ def find_proxy(url: httpx.URL) -> tuple[str, str | None]:
     return variable, proxies[scheme] if "://" in proxies[scheme] else f"http://{proxies[scheme]}"
 
 
-def proxy_note(url: httpx.URL) -> str:
+def proxy_note(url: httpx2.URL) -> str:
     """Return " through the proxy of <variable>" for an error message; empty without a proxy."""
     variable, _ = find_proxy(url)
     return variable and f" through the proxy of {variable}"
@@ -88,7 +88,7 @@ CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 
 
 def _create_tls_context(scheme: str) -> ssl.SSLContext:
-    """Create the TLS context with the certificates of the environment, or else of certifi.
+    """Create the TLS context with the certificates of the environment, or else of this system.
 
     For another scheme than ``https`` it has no certificates.
 
@@ -101,4 +101,4 @@ def _create_tls_context(scheme: str) -> ssl.SSLContext:
         return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     if next(filter(os.environ.get, CERTIFICATES), "") == "SSL_CERT_DIR":
         list(Path(os.environ["SSL_CERT_DIR"]).iterdir())  # to OpenSSL an absent folder is an empty one
-    return httpx.create_ssl_context()
+    return httpx2.create_ssl_context()

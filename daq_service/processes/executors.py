@@ -13,9 +13,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
@@ -261,6 +261,10 @@ def _open_cluster(name: str) -> Iterator[Executor]:
 def _list_versions() -> dict[str, str]:
     """Return the versions of Python and of the packages in `SAME_EVERYWHERE` in this process, by name.
 
-    Raises PackageNotFoundError if one is not installed.
+    "none" for a package that is not installed.
     """
-    return {"python": sys.version.split()[0], **{name: version(name) for name in SAME_EVERYWHERE}}
+    versions = {"python": sys.version.split()[0]} | dict.fromkeys(SAME_EVERYWHERE, "none")
+    for name in SAME_EVERYWHERE:
+        with suppress(PackageNotFoundError):  # numba: only the twin needs it
+            versions[name] = version(name)
+    return versions

@@ -65,6 +65,8 @@ class Beat:
         a simulated clock, while the clock is unverified, and in the file of an older version.
     stage
         Distinguishes a recorder that starts from one that ends: the newest event of both is the same.
+    pace_h_per_s
+        Pace of a simulated clock that does not keep the set one; else None.
     """
 
     process: int
@@ -75,6 +77,7 @@ class Beat:
     utc_ns: int | None = None
     elapsed_ns: int | None = None
     stage: Stage = ""
+    pace_h_per_s: float | None = None
 
 
 class Heartbeat:
@@ -88,6 +91,8 @@ class Heartbeat:
         Called with the name of the event, ``beat``, and the values of a `Beat`.
     time_line
         The test's time at this moment; None where it is unknown.
+    pace
+        Content of `Beat.pace_h_per_s` at this moment.
 
     Attributes
     ----------
@@ -103,6 +108,7 @@ class Heartbeat:
         notify: Callable[..., None] = lambda event, **values: None,
         machine: MachineClock = MACHINE,
         time_line: Callable[[], TimeLine | None] = lambda: None,
+        pace: Callable[[], float | None] = lambda: None,
         file: str = FILE_NAME,
     ) -> None:
         self.stage: Stage = ""
@@ -110,7 +116,7 @@ class Heartbeat:
         self._deadline_s = deadline_s
         self._notify = notify
         self._machine, self._boot = machine, machine.boot_name()
-        self._time_line = time_line
+        self._time_line, self._pace = time_line, pace
         self._last_ns: int | None = None
         self._last_change_ns: int | None = None
         self._last_cost_ns = 0
@@ -139,6 +145,7 @@ class Heartbeat:
             utc_ns=None if time_line is None else time_line.utc_ns,
             elapsed_ns=None if time_line is None else time_line.elapsed_ns,
             stage=self.stage,
+            pace_h_per_s=self._pace(),
         )
         self._notify("beat", **asdict(beat))
         try:
@@ -224,6 +231,7 @@ def parse_beat(values: Mapping[str, Any]) -> Beat:
         utc_ns=_parse_optional_int(values.get("utc_ns")),
         elapsed_ns=_parse_optional_int(values.get("elapsed_ns")),
         stage=values.get("stage", ""),
+        pace_h_per_s=values.get("pace_h_per_s"),
     )
 
 

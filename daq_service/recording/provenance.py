@@ -11,7 +11,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
 from simulator.parameters.experiment import TWIN_VERSION
 
-PACKAGES = ("solimon", "numpy", "scipy", "h5py", "numba")
+PACKAGES = ("solimon", "numpy", "scipy", "h5py")
 
 
 def build_provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
@@ -26,6 +26,8 @@ def build_provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow)
         configuration has more keys, and its hour 0.
     """
     versions = {name: version(name) for name in PACKAGES}
+    if settings.rig.on_twin:
+        versions |= {"numba": version("numba"), "twin": TWIN_VERSION}
     return {
         "configuration": settings.model_dump(mode="json"),
         "configuration_hash": experiment.configuration_hash,
@@ -34,5 +36,5 @@ def build_provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow)
         "host": platform.node(),
         "platform": platform.platform(),
         "python": platform.python_version(),
-        "versions": {**versions, "twin": TWIN_VERSION} if settings.rig.on_twin else versions,
+        "versions": versions,
     }

@@ -104,7 +104,8 @@ def record_test(
         _store_missing_digests(catalogue, archive, partial(_store_file_digest, catalogue, history))
         clock = _create_clock(settings.clock, catalogue, archive, last_beat, host)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
-        heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report, time_line=line)
+        pace = clock.measure_late_pace_h_per_s if isinstance(clock, SimulatedClock) else lambda: None
+        heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report, time_line=line, pace=pace)
         moment = partial(build_present_moment, clock, epoch_ns)
         since_mono_ns = clock.mono_ns() - (time.monotonic_ns() - started_ns)
         rig, did = open_rig_with_retries(

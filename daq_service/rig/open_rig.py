@@ -40,7 +40,7 @@ Announce = Callable[[ShotKey], None]
 
 
 Preparing = Callable[[str, bool], None]
-"""Called with a slow one-time preparation, and whether it starts (True) or has ended."""
+"""Called with a slow one-time preparation, and whether it goes on (True) or has ended."""
 
 
 @contextmanager
@@ -54,7 +54,7 @@ def open_rig(
     epoch_utc_ns
         Hour 0 of the test, ns since 1970 (UTC).
     preparing
-        Called by any thread with a slow one-time preparation, and whether it starts (True) or has ended.
+        Called with a slow one-time preparation and its progress: True while it goes on, False at its end.
 
     Raises
     ------

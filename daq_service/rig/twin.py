@@ -10,20 +10,26 @@ The simulator is imported where it is needed: the worker starts while the record
 
 from __future__ import annotations
 
-import atexit
-import multiprocessing
-import threading
+import gc
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, contextmanager
 from functools import cache, partial
 from importlib.metadata import version
-from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq_service.acquisition.schedule import plan_sets
 from daq_service.acquisition.strikes_ahead import build_strike_predictor
 from daq_service.errors import UsageError
+from daq_service.processes.installation import MODULES, require_extras
 from daq_service.processes.worker import leave_with_parent, start_one_worker
 from daq_service.settings.tree import Settings
 from hardware_drivers.bounds import bounded
@@ -39,8 +45,7 @@ if TYPE_CHECKING:
 STRIKES_WORTH_A_PROCESS = 2_000
 """From so many on a process of its own for the twin saves more time than it takes to start."""
 
-COMPILING = "compiling the twin's loops, once on this computer"
-BUILDING = "building the twin's plates, which are kept for the next time"
+PREPARING = "preparing the twin's plates and machine code, once on this computer"
 
 
 def build_transducers(settings: Settings) -> dict[str, Transducer]:
@@ -69,53 +74,73 @@ def build_transducers(settings: Settings) -> dict[str, Transducer]:
     }
 
 
-def start_twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
-    """Start a worker process that builds the specimen and then runs `compute_records`.
+def start_twin_executor() -> ProcessPoolExecutor:
+    """Start a worker process that runs `compute_records`, and return at once; the caller shuts it down.
 
-    Returns at once; the caller shuts it down. If the process dies, its tasks raise BrokenExecutor.
+    If the process dies, its tasks raise BrokenExecutor.
+    """
+    return start_one_worker(_prepare_worker)
+
+
+def prepare_twin(
+    settings: Settings, worker: Executor | None, preparing: Callable[[str, bool], None]
+) -> dict[str, Transducer]:
+    """Build the transducers and compile the loops of the twin at the same time; return the transducers.
+
+    ``preparing`` is called each second, as `Opening.preparing`.
 
     Parameters
     ----------
-    sender
-        Pipe to which it sends the start (True) and the end (False) of a compilation.
+    worker
+        Process that compiles its part; None starts one if this computer has no machine code yet.
+
+    Raises
+    ------
+    SimulatorError
+        A transducer cannot be built as configured.
     """
-    return start_one_worker(_prepare_specimen, settings.model_dump_json(), sender)
+    from simulator.compile_loops import compile_other_loops, compile_wide_loop
+    from simulator.numerics.machine_code import call_at_first_compilation
 
+    laws = {settings.positions[name].chain.damping_law for name in settings.list_positions(SOLITARY_WAVE)}
+    elsewhere: list[Future[None]] = []
 
-@contextmanager
-def run_twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
-    """Start the twin's worker process, yield its executor, and shut it down on exit.
+    def compile_wide_loops() -> None:
+        """Compile the loops of many strikes, and start the process for the others if that takes long."""
+        with call_at_first_compilation(start_worker):
+            for law in laws:
+                compile_wide_loop(law)
 
-    Pending work is canceled on exit. A thread calls ``compiling`` with True at the start and False at the end
-    of each compilation.
-    """
-    receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
-    with receiver:
-        with sender:  # once it has started, it alone holds this end: the pipe ends with it
-            executor = start_twin_executor(settings, sender)
-        listening = threading.Thread(
-            target=_forward_messages, args=(receiver, compiling), name="news-of-the-worker", daemon=True
-        )
-        listening.start()
-        try:
-            yield executor
-        finally:
-            executor.shutdown(cancel_futures=True)
-            listening.join()
+    def start_worker() -> None:
+        """Compile the other loops in the caller's process or a new one; stop garbage collection here.
 
+        It would take a fifth of the time: millions of objects live until a loop is compiled.
+        """
+        gc.disable()
+        compiling = worker or stack.enter_context(start_one_worker(_prepare_compiler))
+        elsewhere.extend(compiling.submit(compile_other_loops, law) for law in laws)
 
-def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -> None:
-    """Call ``compiling`` with each state (True: it compiles) that the worker sends, until its pipe closes.
+    def compile_others() -> None:
+        """Load the loops that the other process has compiled, and compile what it has not."""
+        wait([wide])
+        wait(elsewhere)
+        for law in laws:
+            compile_other_loops(law)
 
-    If the worker ends during a compilation, ``compiling(False)`` is called last.
-    """
-    is_compiling = False
-    with suppress(EOFError, OSError):  # the worker has ended, or was killed in the midst of a word
-        while True:
-            is_compiling = receiver.recv()
-            compiling(is_compiling)
-    if is_compiling:
-        compiling(False)
+    started_s = time.monotonic()
+    with ExitStack() as stack, ThreadPoolExecutor(max_workers=3, thread_name_prefix="twin") as pool:
+        stack.callback(gc.enable)
+        wide = pool.submit(compile_wide_loops)
+        transducers = pool.submit(build_transducers, settings)
+        parts: list[Future[Any]] = [wide, transducers, pool.submit(compile_others)]
+        while pending := [part for part in parts if not part.done()]:
+            done, took_s = len(parts) - len(pending), time.monotonic() - started_s
+            preparing(f"{PREPARING}: part {done + 1} of {len(parts)}, {took_s:.0f} s", True)
+            wait(pending, 1.0, FIRST_COMPLETED)
+        preparing(PREPARING, False)
+        for part in parts:
+            part.result()
+    return transducers.result()
 
 
 def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
@@ -144,21 +169,21 @@ def _build_specimen(settings_json: str) -> Specimen:
     )
 
 
-def _prepare_specimen(settings_json: str, sender: Connection | None) -> None:
-    """Initialize the worker: end with the parent, send the states of compilations, build the specimen.
-
-    Without ``sender`` compilations are not reported.
-    """
-    leave_with_parent()
-    import daq_service.acquisition.shot_features  # noqa: F401 - while the recorder opens the test
-
-    if sender is not None:
-        from simulator.numerics.machine_code import report_compilation
-
-        reporting = ExitStack()
-        reporting.enter_context(report_compilation(sender.send))
-        atexit.register(reporting.close)  # kept as long as the process
+def _build_specimen_ahead(settings_json: str) -> None:
+    """Build the specimen in the worker process before the first strike."""
     _build_specimen(settings_json)
+
+
+def _prepare_worker() -> None:
+    """Initialize the twin's worker process: end with the parent, import while the recorder opens the test."""
+    leave_with_parent()
+    import daq_service.acquisition.shot_features  # noqa: F401
+
+
+def _prepare_compiler() -> None:
+    """Initialize the process that compiles: end with the parent, collect no garbage."""
+    leave_with_parent()
+    gc.disable()
 
 
 # As a kind of instrument -------------------------------------------------------------------------------
@@ -176,6 +201,7 @@ def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Op
     Others compute it in a thread. On exit pending work is canceled. Raises UsageError if the specimen cannot
     be built as configured.
     """
+    require_extras("twin")
     settings = Settings.model_validate(opening.experiment)
     places, schedule, serves = settings.positions, settings.schedule, opening.serves
     served = {name: places[name] for name in opening.positions}
@@ -187,29 +213,22 @@ def _open_twin(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Op
         shot_interval_s=schedule.shot_interval_s,
     )
     settings = settings.model_copy(update={"positions": served})
-    compiling = partial(opening.preparing, COMPILING)
     own_process = _needs_own_process(settings, len(sets))
     with ExitStack() as stack:
         # One worker: the physics of the next shots runs while this one is stored and judged.
-        executor: Executor = (
-            stack.enter_context(run_twin_process(settings, compiling))
-            if own_process
-            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
-        )
+        worker = start_twin_executor() if own_process else None
+        executor: Executor = worker or ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
         stack.callback(executor.shutdown, cancel_futures=True)
         # These imports take a while: the worker has started by now.
         from simulator.errors import SimulatorError
         from simulator.instruments import build_bench
-        from simulator.numerics.machine_code import report_compilation
 
-        stack.enter_context(report_compilation(compiling))
-        opening.preparing(BUILDING, True)
         try:
-            transducers = build_transducers(settings)
+            transducers = prepare_twin(settings, worker, opening.preparing)
         except SimulatorError as error:
             raise UsageError(f"the twin cannot be built as configured: {error}") from error
-        finally:
-            opening.preparing(BUILDING, False)
+        if worker is not None:
+            worker.submit(_build_specimen_ahead, settings.model_dump_json())
         bench = build_bench(
             settings.twin,
             clock=opening.clock,
@@ -257,4 +276,10 @@ def _require_both_roles(parameters: TwinOfTheExperiment, serves: Mapping[Role, t
         )
 
 
-KIND = Kind(parameters=TwinOfTheExperiment, open=_open_twin, check=_check_boards, require=_require_both_roles)
+KIND = Kind(
+    parameters=TwinOfTheExperiment,
+    open=_open_twin,
+    check=_check_boards,
+    require=_require_both_roles,
+    packages=lambda parameters: MODULES["twin"],
+)

@@ -225,6 +225,7 @@ class Freshness(freshness.Freshness):
             "last_write_wall_utc": format_rfc3339(self.written_ns),
             "wall_age_s": self.wall_age_s,
             "recorder": self.recorder.status,
+            "pace_h_per_s": None if self.recorder.beat is None else self.recorder.beat.pace_h_per_s,
         }
 
     def format_utc_of_hour(self, hour: float) -> str | None:

@@ -28,31 +28,25 @@ def jit_compile(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., 
     return decorate
 
 
-class _Compilations(event.Listener):
-    """Listener that counts nested compilations; loading from the cache is no such event."""
+class _FirstCompilation(event.Listener):
+    """Listener that calls a function at the first compilation; loading from the cache is none."""
 
-    def __init__(self, report: Callable[[bool], None]) -> None:
-        """Keep the callback; no compilation is in progress."""
-        self._report, self._depth = report, 0
+    def __init__(self, call: Callable[[], None]) -> None:
+        """Keep the function."""
+        self._call: Callable[[], None] | None = call
 
     def on_start(self, event: object) -> None:
-        """Report the start of a compilation, unless another one is in progress."""
-        self._depth += 1
-        if self._depth == 1:
-            self._report(True)
+        """Call the function, once only."""
+        call, self._call = self._call, None
+        if call is not None:
+            call()
 
     def on_end(self, event: object) -> None:
-        """Report the end of the outermost compilation."""
-        self._depth -= 1
-        if self._depth == 0:
-            self._report(False)
+        """Do nothing."""
 
 
 @contextmanager
-def report_compilation(report: Callable[[bool], None]) -> Iterator[None]:
-    """Call ``report`` with True when a compilation starts, with False when it ends.
-
-    It is called by the thread that compiles: one at a time, numba holds a lock meanwhile.
-    """
-    with event.install_listener("numba:compile", _Compilations(report)):
+def call_at_first_compilation(call: Callable[[], None]) -> Iterator[None]:
+    """Call a function when the first compilation within the context starts, in the thread that compiles."""
+    with event.install_listener("numba:compile", _FirstCompilation(call)):
         yield

@@ -36,6 +36,11 @@ def test_every_copied_file_exists():
     assert [name for names in here for name in names if not (ROOT / name).exists()] == []
 
 
+def test_the_container_has_the_packages_of_the_demonstration():
+    (install,) = [words for words in arguments_of("RUN") if "pip install" in words]
+    assert '"$(ls /wheel/*.whl)[demo]"' in install
+
+
 def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder():
     last = STEPS[max(index for index, step in enumerate(STEPS) if step[0] == "FROM") :]
     order = [step for step in last if step[0] in ("RUN", "USER", "VOLUME", "ENTRYPOINT")]

@@ -16,6 +16,7 @@ from daq_service.web.documentation import SITE
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("daq_service", "hardware_drivers", "analysis", "simulator")
+FACADE = "daq_service/facade/"
 KEYS_OF_A_POSITION = {
     *("first_alarm_h", "outlier_fraction_before_100_h", "outlier_fraction_after_100_h", "tof_us"),
     *("amplitude_ratio", "limit", "n_baseline", "travel_time_us", "thickness_mm"),
@@ -48,11 +49,14 @@ def test_the_wheel_holds_every_file_of_the_packages_configuration_and_licence(wh
         ["git", "ls-files", *PACKAGES], cwd=ROOT, capture_output=True, text=True, check=True
     )
     configuration = [f"daq_service/config/{path.name}" for path in (ROOT / "config").iterdir()]
-    assert {*listed.stdout.split(), *configuration} - set(names) == set()
+    files = [name.removeprefix(FACADE) for name in listed.stdout.split()]
+    assert {*files, *configuration} - set(names) == set()
+    assert "solimon/__init__.py" in names
+    assert len(names) == len(set(names))
     assert any(name.endswith("licenses/LICENSE") for name in names)
     (offered,) = (name for name in names if name.endswith(".dist-info/entry_points.txt"))
     assert b"[pytest11]\nsolimon = hardware_drivers.conformance.plugin\n" in archive.read(offered)
-    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
+    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/", FACADE))]
 
 
 @pytest.mark.parametrize("builder", [WheelBuilder, SdistBuilder])
@@ -85,6 +89,7 @@ def test_the_wheel_and_the_constraints_alone_make_a_whole_environment(wheel, tmp
     run("-m", "pip", "install", "-q", "--no-deps", "-r", str(ROOT / "constraints.txt"), str(wheel))
     assert run("-m", "pip", "check").strip() == "No broken requirements found."
     assert "0.1.0" in run("-m", "daq_service.cli", "--version")
+    assert run("-c", "import solimon; print(solimon.__version__)") == "0.1.0\n"
 
 
 def take_machine_code(site):

@@ -18,6 +18,7 @@ from daq_service.catalogue import SetCommit
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.supply_state import stamp_state, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE, hold_recorder_lock
+from daq_service.processes.heartbeat import Heartbeat
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
@@ -378,10 +379,15 @@ def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(t
     with served(Settings(), tmp_path) as service:
         page = open_page(service.url)
         expect(page.locator("#notice")).to_contain_text("Waiting for the first waveform")
+        expect(page.locator("#connection")).to_have_text("Recorder not started")
+        with hold_recorder_lock(tmp_path):
+            Heartbeat(tmp_path, deadline_s=60.0).beat("preparing the twin: part 1 of 3, 7 s")
+            expect(page.locator("#notice")).to_contain_text("Recorder: preparing the twin: part 1 of 3, 7 s.")
+            expect(page.locator("#connection")).to_have_text("Live")
         filled = FilledFolder(tmp_path, Settings())
         filled.say("asked", text="strike B now", within_s=600.0)
         expect(page.locator("#prompt")).to_contain_text("strike B now")
-        expect(page.locator("#notice")).to_contain_text("Waiting for the first waveform")
+        expect(page.locator("#notice")).to_contain_text("Recorder: waiting. The first set fills this page.")
         filled.add_set(0, stored=False, shown=True)
         expect(page.locator("#tof")).to_have_attribute("data-points", "1")
         expect(page.locator("#notice")).to_be_hidden()

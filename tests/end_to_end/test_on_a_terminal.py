@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import urllib.request
 from pathlib import Path
 
@@ -40,7 +41,7 @@ MASKS = (
     (r"(seconds of the recorder's last run:).*", r"\1 <cost>"),
     (r"\d+\.\d\d GB free", "<size> free"),
     # How long they take is the machine's; they are reported only where it is long.
-    (r"(?m)^(compiling|building) the twin's .*: took .*\n", ""),
+    (r"(?m)^preparing the twin's .*: took .*\n", ""),
 )
 
 
@@ -107,7 +108,7 @@ def ran(folder, recorded):
 def test_record_prints_its_progress_and_keeps_the_last_line(recorded, folder):
     check("record", recorded, folder)
     # Which of its first steps are seen is a matter of time.
-    assert re.search("opening the rig|building the twin|waiting for set 0", recorded.written)
+    assert re.search("opening the rig|preparing the twin|waiting for set 0", recorded.written)
     assert "\x1b[2K" in recorded.written, "one line, written again"
 
 
@@ -151,27 +152,38 @@ def test_demo_prints_a_greeting_its_folder_the_progress_and_a_summary(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_first_compilation_is_reported_while_it_runs(tmp_path):
-    command = arguments("record", folder=tmp_path / "data")
-    with on_terminal(command, {**quick(0.5), "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
-        assert terminal.end() == 0
-    assert re.search(r"compiling the twin's loops, once on this computer; \d+ s so far", terminal.written)
-    took = [line for line in terminal.shown() if line.startswith("compiling")]
-    assert took, "what it took stands there afterwards"
-    assert all(
-        re.fullmatch(r"compiling the twin's loops, once on this computer: took \d+ s", line) for line in took
-    )
+@pytest.mark.parametrize("words", [("record",), ("demo", "--exit", "--no-web")], ids=["thread", "process"])
+def test_the_first_compilation_is_reported_while_it_runs_and_by_one_line(tmp_path, words):
+    environment = QUICK if "demo" in words else quick(0.5)
+    command = arguments(*words, folder=tmp_path / "data")
+    what = "preparing the twin's plates and machine code, once on this computer"
+    with on_terminal(command, {**environment, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
+        terminal.until(rf"{what}: part [123] of 3, [1-9]\d* s")
+        terminal.until(rf"{what}: took \d+ s")
+        terminal.until(r"set \d+ of \d+")
+        terminal.interrupt()
+    lines = [line for line in terminal.shown() if "took" in line]
+    assert len(lines) == 1
+    assert re.fullmatch(rf"{what}: took \d+ (s|min)", lines[0])
 
 
-@pytest.mark.slow
-def test_the_compilation_in_a_twin_process_is_reported(tmp_path):
-    command = arguments("demo", "--exit", "--no-web", folder=tmp_path / "data")
-    with on_terminal(command, {**QUICK, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
-        # Some seconds of it are the recorder's own; the long part comes with the first strikes.
-        terminal.until(r"compiling the twin's loops, once on this computer; [4-9] s so far")
-        terminal.until(r"compiling the twin's loops, once on this computer: took \d+ s")
-        terminal.until(r"hour \d+\.\d, set \d+ of 425")
-        assert terminal.interrupt() == 130
+def test_ctrl_c_after_the_end_of_a_demo_is_no_interruption(tmp_path):
+    folder = tmp_path / "data"
+    command = arguments("demo", "--hours", "0.5", "--port", "0", "--no-browser", folder=folder)
+    with on_terminal(command, QUICK) as terminal:
+        terminal.until("The test is done")
+        assert terminal.interrupt() == 0
+    assert f"The test is complete; its data are in {folder}." in terminal.shown()
+
+
+@pytest.mark.parametrize("words", [("demo",), ("run",)])
+def test_a_port_in_use_is_found_before_anything_else(tmp_path, words):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with on_terminal(arguments(*words, "--port", str(port), folder=tmp_path / "data"), QUICK) as terminal:
+            assert terminal.end() == 5
+    assert f"Port {port} is in use. Choose another with --port; 0 takes a free one." in terminal.written
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import threading
 from collections import Counter
 from contextlib import ExitStack
 
-import httpx
+import httpx2
 import pytest
 from support.killed_commands import EVENT_OF, alarm_orders, command, note, person, restart, wrong_with
 from support.refusing_files import needs_a_preload, with_support
@@ -145,7 +145,7 @@ class Client(threading.Thread):
             try:
                 self._give(*self._order(step))
                 step = next(steps)
-            except httpx.TransportError:
+            except httpx2.TransportError:
                 self.stop.wait(0.05)  # nothing listens there now
 
     def _order(self, step):
@@ -187,7 +187,7 @@ class Client(threading.Thread):
 
     def _ask(self, method, path, **body):
         url = f"{self._processes.url}api/v1/{path}"
-        return httpx.request(method, url, timeout=WAIT_S, verify=False, **body)
+        return httpx2.request(method, url, timeout=WAIT_S, verify=False, **body)
 
 
 @pytest.mark.slow

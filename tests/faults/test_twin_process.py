@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,13 @@ import pytest
 
 from daq_service.clock import parse_utc
 from daq_service.rig.open_rig import open_rig
-from daq_service.rig.twin import _forward_messages, build_transducers, compute_records, start_twin_executor
+from daq_service.rig.twin import (
+    PREPARING,
+    build_transducers,
+    compute_records,
+    prepare_twin,
+    start_twin_executor,
+)
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
 from simulator.clock import SimulatedClock
@@ -73,7 +80,7 @@ def assert_same(first, second):
 @pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
 def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
     plain = bench()
-    executor = start_twin_executor(SETTINGS)
+    executor = start_twin_executor()
     try:
         worker = executor.submit(os.getpid).result(TIMEOUT_S)
         assert worker != os.getpid()
@@ -89,24 +96,51 @@ def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
     assert "not computed ahead any more" in caplog.text
 
 
-def test_a_compiling_worker_is_reported_and_a_dead_one_ends_its_compilation():
-    heard = []
-    hear, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
-    for word in (True, False, True):
-        sender.send(word)
-    sender.close()  # as the system does for a worker that is killed
-    with hear:
-        _forward_messages(hear, heard.append)
-    assert heard == [True, False, True, False]
+def test_progress_is_reported_until_the_twin_is_prepared():
+    reports = []
+    transducers = prepare_twin(SETTINGS, None, lambda what, begins: reports.append((what, begins)))
+    assert list(transducers) == list(build_transducers(SETTINGS))
+    assert re.fullmatch(rf"{PREPARING}: part [123] of 3, \d+ s", reports[0][0])
+    assert reports[-1] == (PREPARING, False)
+    assert all(begins for _, begins in reports[:-1])
+
+
+COLD = """
+import sys
+from daq_service.settings.tree import Settings
+from daq_service.rig.twin import prepare_twin
+from simulator.compile_loops import compile_other_loops
+from simulator.shot import kernel
+
+if __name__ == "__main__":
+    prepare_twin(Settings.model_validate_json(sys.argv[1]), None, lambda what, begins: None)
+    compile_other_loops("linear")
+    for width in (kernel.WIDEST, kernel.NARROWEST):
+        stats = kernel.compile_time_loop(width, True).stats
+        print(width, sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_share_the_compilations_of_a_first_start(tmp_path):
+    script = tmp_path / "cold.py"
+    script.write_text(COLD, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(script), SETTINGS.model_dump_json()],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "code")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines() == ["8 0 1", "2 1 0"], "the loop of few strikes is loaded"
 
 
 ORPHAN = """
 import os, sys
-from daq_service.settings.tree import Settings
 from daq_service.rig.twin import start_twin_executor
 
 if __name__ == "__main__":
-    executor = start_twin_executor(Settings.model_validate_json(sys.argv[1]))
+    executor = start_twin_executor()
     print(executor.submit(os.getpid).result(), flush=True)
     sys.stdin.read()
 """
@@ -117,7 +151,7 @@ def test_the_worker_of_a_killed_recorder_leaves(tmp_path):
     script = tmp_path / "recorder.py"
     script.write_text(ORPHAN, encoding="utf-8")
     with subprocess.Popen(
-        [sys.executable, str(script), SETTINGS.model_dump_json()],
+        [sys.executable, str(script)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

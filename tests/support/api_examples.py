@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.vocabulary import VOCABULARY, look_up_scoped_value
@@ -46,7 +46,7 @@ def shortened(value: Any) -> Any:
     return value
 
 
-def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any]) -> dict[str, Any] | None:
+def asked(client: httpx2.Client, path: str, method: str, operation: dict[str, Any]) -> dict[str, Any] | None:
     """Request one example; return None where the answer is not JSON."""
     name = operation["operationId"]
     if name in BY_HAND:

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import httpx
+import httpx2
 import numpy as np
 
 from analysis.assessment.confirmation import STEP
@@ -541,7 +541,7 @@ def filled_folder(
 @contextmanager
 def served_folder(
     folder: Path, *arguments: object, **options: object
-) -> Iterator[tuple[FilledFolder, httpx.Client]]:
+) -> Iterator[tuple[FilledFolder, httpx2.Client]]:
     """Yield a filled folder and a client of its web service."""
     with (
         filled_folder(folder, *arguments, **options) as filled,

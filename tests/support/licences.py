@@ -15,6 +15,9 @@ from packaging.utils import canonicalize_name
 BROUGHT_BY_PYTHON = {"pip", "setuptools"}
 OURS = "solimon"
 EXTRAS = (
+    "twin",
+    "report",
+    "demo",
     "grpc",
     "niscope",
     "tdms",

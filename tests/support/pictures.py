@@ -22,7 +22,7 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
-import httpx
+import httpx2
 
 from daq_service.processes.data_folder import CONFIGURATION_FILE
 from daq_service.settings.file import load_settings
@@ -133,7 +133,7 @@ def _on_terminal(*words: str, **environment: str) -> str:
 
 
 @contextmanager
-def _page(browser: Any, data: Path, picture: Picture) -> Iterator[tuple[Any, httpx.Client]]:
+def _page(browser: Any, data: Path, picture: Picture) -> Iterator[tuple[Any, httpx2.Client]]:
     """Open the page of the test in its present state, at hour 0 without any data."""
     hours = {"schedule": {"end_h": picture.hour}} if picture.hour else {}
     settings = load_settings(data / CONFIGURATION_FILE, overrides=hours)
@@ -150,7 +150,7 @@ def _page(browser: Any, data: Path, picture: Picture) -> Iterator[tuple[Any, htt
         context.close()
 
 
-def _taken(page: Any, api: httpx.Client, picture: Picture) -> bytes:
+def _taken(page: Any, api: httpx2.Client, picture: Picture) -> bytes:
     if picture.hour:
         _wait_for_charts(page, api, picture)
     if picture.press:
@@ -162,7 +162,7 @@ def _taken(page: Any, api: httpx.Client, picture: Picture) -> bytes:
     return bytes(page.screenshot(full_page=whole_page) if whole_page or screen else part.screenshot())
 
 
-def _wait_for_charts(page: Any, api: httpx.Client, picture: Picture) -> None:
+def _wait_for_charts(page: Any, api: httpx2.Client, picture: Picture) -> None:
     # As the page asks: of all columns so many sets would come in bins.
     asked = {"points": 1000, "fields": ",".join(CHARTS.values())}
     trend = api.get(f"/api/v1/trends/{picture.position}", params=asked).json()["columns"]

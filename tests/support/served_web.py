@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import httpx
+import httpx2
 from fastapi import FastAPI
 
 from daq_service.settings.tree import Settings
@@ -42,9 +42,9 @@ class Served:
         connected.sendall(sent)
         return connected
 
-    def client(self, **headers: str) -> httpx.Client:
+    def client(self, **headers: str) -> httpx2.Client:
         # Nothing is encrypted: reading all certificates would take longer than most tests.
-        return httpx.Client(base_url=self.url, timeout=DEADLINE_S, headers=headers, verify=False)
+        return httpx2.Client(base_url=self.url, timeout=DEADLINE_S, headers=headers, verify=False)
 
 
 def brought(page: str) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class StreamEvent:
     data: object
 
 
-def stream_events(response: httpx.Response) -> Iterator[StreamEvent]:
+def stream_events(response: httpx2.Response) -> Iterator[StreamEvent]:
     """Parse server-sent events as a browser does, without comments and heartbeats."""
     fields: dict[str, str] = {}
     for line in response.iter_lines():

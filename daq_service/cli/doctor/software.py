@@ -6,15 +6,16 @@ import importlib
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, requires
 from importlib.metadata import version as installed_version
 
 from daq_service.cli.doctor.check import Check, State, Value
+from daq_service.processes.installation import MODULES
 
 OLDEST_PYTHON = (3, 11)
-ALWAYS = ("numpy", "scipy", "h5py", "numba", "pydantic", "sqlalchemy", "fastapi")
-COMPILED = ("numpy", "scipy.signal", "h5py", "numba")
+ALWAYS = ("numpy", "scipy", "h5py", "pydantic", "sqlalchemy", "fastapi")
+COMPILED = ("numpy", "scipy.signal", "h5py")
 """Imported too: what does not load is usually a binary that fits another Python, numpy or processor."""
 
 LOAD_ERRORS = (ImportError, OSError, ValueError, RuntimeError, AttributeError, SystemError, TypeError)
@@ -46,11 +47,13 @@ def check_software(
     oldest = {match[1]: match[2] for match in required if match}
     checks = [_check_python(), _check_package("solimon", "", installed)]
     names = dict.fromkeys((*ALWAYS, *needed))
+    compiled = [*COMPILED, *(name for name in names if name == "numba")]
     checks += [_check_package(name, oldest.get(name, ""), installed) for name in names]
-    return [*checks, _check_binaries(load)]
+    return [*checks, _check_binaries(load, compiled)]
 
 
 EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "visa", "pyvisa-py": "visa"}
+EXTRAS |= dict.fromkeys(MODULES["twin"], "twin")
 
 
 def _check_python() -> Check:
@@ -80,20 +83,20 @@ def _check_package(name: str, oldest: str, installed: Callable[[str], str]) -> C
     return Check("software", name, state, text, remedy, {"version": found, "oldest": oldest or None})
 
 
-def _check_binaries(load: Callable[[str], object]) -> Check:
-    """Check that each package of `COMPILED` can be imported; the check lists every failure.
+def _check_binaries(load: Callable[[str], object], compiled: Sequence[str]) -> Check:
+    """Check that each compiled package can be imported; the check lists every failure.
 
     ``load`` imports a module by its name.
     """
     broken = {}
-    for name in COMPILED:
+    for name in compiled:
         try:
             load(name)
         except LOAD_ERRORS as error:
             broken[name] = f"{type(error).__name__}: {error}"
     failures = "; ".join(f"{name} does not load ({reason})" for name, reason in broken.items())
     remedy = f"install again: python -m pip install --force-reinstall {' '.join(broken)}"
-    found = failures or f"{', '.join(COMPILED)} load"
+    found = failures or f"{', '.join(compiled)} load"
     return Check("software", "compiled packages", "fail" if broken else "ok", found, remedy)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from daq_service.errors import EXIT_OK
+from daq_service.processes.installation import require_extras
 
 Table = Mapping[str, Any]
 """A table of ``commands.toml``."""
@@ -57,7 +58,7 @@ def find_command(name: str) -> click.Command | None:
     return None if table is None else _build_command(name, table)
 
 
-def import_and_call(target: str, starting: str = "", **options: Any) -> int:
+def import_and_call(target: str, starting: str = "", extras: Sequence[str] = (), **options: Any) -> int:
     """Import the function ``MODULE:NAME`` of this package, call it with the options, return its exit code.
 
     A function that returns None gives 0.
@@ -66,7 +67,15 @@ def import_and_call(target: str, starting: str = "", **options: Any) -> int:
     ----------
     starting
         Line that is printed before the import, which takes seconds on a cold machine; empty: none.
+    extras
+        Extras of solimon that the function needs.
+
+    Raises
+    ------
+    MissingExtraError
+        One of them is not installed; nothing is imported.
     """
+    require_extras(*extras)
     if starting:
         from daq_service.processes.printing import print_line
 
@@ -80,7 +89,8 @@ def _build_command(name: str, table: Table) -> click.Command:
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
         return click.Group(name, [_build_command(*item) for item in table["commands"].items()], help=text)
-    callback = partial(import_and_call, table["target"], table.get("starting", ""), **table.get("fixed", {}))
+    given = table["target"], table.get("starting", ""), table.get("extras", ())
+    callback = partial(import_and_call, *given, **table.get("fixed", {}))
     return click.Command(name, callback=callback, params=list(_build_parameters(table["options"])), help=text)
 
 

@@ -86,7 +86,7 @@ def collect_run_facts() -> Facts:
         "test": None,
         "data_dir": None,
         "versions": {
-            **{name: version(name) for name in (*PACKAGES, "matplotlib")},
+            **{name: version(name) for name in (*PACKAGES, "numba", "matplotlib")},
             "python": platform.python_version(),
         },
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",

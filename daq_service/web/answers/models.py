@@ -107,6 +107,7 @@ class AsOf(Answer):
     last_write_wall_utc: str | None
     wall_age_s: float | None
     recorder: RecorderStatus
+    pace_h_per_s: float | None = None
 
 
 class Dated(Answer):
@@ -511,6 +512,8 @@ class Liveness(Answer):
 
     status: Literal["ok"]
     data: bool
+    recorder: RecorderStatus | None = None
+    doing: str | None = None
 
 
 class RecorderHealth(Answer):

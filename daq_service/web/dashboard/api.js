@@ -89,9 +89,14 @@ export async function trend(position, fields, range = {}, base = BASE) {
   return get(`/trends/${position}?${query}`, base);
 }
 
-/** Return whether anything is stored yet; by this route because a browser reports each 503 as an error. */
-export async function hasData() {
-  return (await json(`${BASE}/healthz`)).data === true;
+/**
+ * Return whether anything is stored yet, and before that what the recorder does. Not by a route that answers 503: a
+ * browser reports each of these as an error.
+ *
+ * @returns {Promise<{data: boolean, recorder: string, doing: string | null}>}
+ */
+export async function getLiveness() {
+  return json(`${BASE}/healthz`);
 }
 
 /** @param {string} path @param {object} body @returns {Promise<any>} */

@@ -1,7 +1,7 @@
 // Read the data of the page: history first, then what events report as changed. The API is the only source of
 // drawn data; an event only names what to read again.
 
-import { getAllPages, get, hasData, trend } from "./api.js";
+import { getAllPages, get, getLiveness, trend } from "./api.js";
 import { readBaselines } from "./charts/baselines.js";
 
 const REFRESH_MS = 200;
@@ -38,8 +38,8 @@ const FITTED = /** @type {Record<string, string[]>} */ ({
  *   onRead
  * @property {() => void} onColumns columns or fits of a position are new
  * @property {() => void} onDetails only columns of the shown hours are new
- * @property {(reason: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: it does
- *   now
+ * @property {(reason: string, recorder?: string) => void} onWaiting nothing is stored yet, or the service does not
+ *   answer; empty: it does now
  * @property {(error: Error) => void} onTrouble an update failed
  */
 
@@ -116,9 +116,11 @@ export class DataLoader {
    */
   async start(openEvents) {
     try {
-      if (!(await hasData())) {
+      const { data, recorder, doing } = await getLiveness();
+      if (!data) {
         this.listener.onWaiting(
-          "Waiting for the first waveform. The page updates itself when the recorder has stored it.",
+          `${doing ? `Recorder: ${doing}` : "Waiting for the first waveform"}. The first set fills this page.`,
+          recorder,
         );
         // From the first event on: the recorder may have asked an operator to strike the first shot.
         openEvents(0);

@@ -70,7 +70,11 @@ const data = new DataLoader({
   onRead,
   onColumns,
   onDetails: showColumns,
-  onWaiting: notice,
+  onWaiting: (reason, recorder = state.recorder) => {
+    notice(reason);
+    state.recorder = recorder;
+    showConnection();
+  },
   onTrouble: (error) => updateFailure.fail(error, data.readAt),
 });
 const updateFailure = new UpdateFailure(byId("update-failure"));
@@ -375,7 +379,8 @@ function showInfo() {
 /** @param {any} asOf */
 function showClock(asOf) {
   setText(byId("hour"), `Hour ${hour(asOf.now_h)}`);
-  setText(byId("time"), `${time(asOf.now_utc)}, ${asOf.clock} clock`);
+  const pace = asOf.pace_h_per_s ? `; slower than set: ${significant(asOf.pace_h_per_s)} h per s` : "";
+  setText(byId("time"), `${time(asOf.now_utc)}, ${asOf.clock} clock${pace}`);
   /** @type {HTMLProgressElement} */ (byId("progress")).value = data.info
     ? Math.min(1, asOf.now_h / data.info.schedule.end_h)
     : 0;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from daq_service.processes.installation import require_extras
 from daq_service.web.report.contents import read_report_contents
 
 
@@ -15,12 +16,13 @@ def build_report_page(
     Raises
     ------
     UsageError
-        The range is empty, or has too many sets.
+        The range is empty, or has too many sets; MissingExtraError: without the extra ``report``.
     StorageError
         There is no test, or it cannot be read.
     ValidationError, OSError
         Stored configuration, or audit log: as `contents.read_report_contents`.
     """
+    require_extras("report")
     # Imports matplotlib, which nothing else of the service needs.
     from daq_service.web.report.figures import draw_position_figure
     from daq_service.web.report.page import render_report_page

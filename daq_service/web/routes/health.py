@@ -7,6 +7,7 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from daq_service.processes.disk_policy import forecast_disk
+from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Liveness, ServiceHealth, describe_errors
 from daq_service.web.context import ContextOf
@@ -17,8 +18,12 @@ router = APIRouter(tags=["health"])
 
 @probes.get("/healthz", response_model=Liveness)
 def get_liveness(context: ContextOf) -> JsonAnswer:
-    """Return that the web process responds, independent of the recorder, and whether data are stored."""
-    return JsonAnswer({"status": "ok", "data": context.has_data()})
+    """Return that the web process responds, and whether data are stored; if not, the recorder's status."""
+    if context.has_data():
+        return JsonAnswer({"status": "ok", "data": True, "recorder": None, "doing": None})
+    recorder = read_recorder_state(context.data_folder, [])
+    doing = recorder.beat.doing if recorder.beat and recorder.status == "running" else None
+    return JsonAnswer({"status": "ok", "data": False, "recorder": recorder.status, "doing": doing})
 
 
 @probes.get("/readyz", response_model=Liveness, responses=describe_errors(503))

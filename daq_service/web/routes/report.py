@@ -8,6 +8,7 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from daq_service.errors import UsageError
+from daq_service.processes.installation import MissingExtraError
 from daq_service.processes.worker import start_one_worker
 from daq_service.web.answers.models import describe_errors
 from daq_service.web.answers.problem import Problem, invalid
@@ -25,7 +26,7 @@ _making = threading.Lock()
     response_class=Response,
     responses={
         200: {"content": {"text/html": {"schema": {"type": "string"}}}},
-        **describe_errors(503),
+        **describe_errors(501, 503),
     },
 )
 def get_report(
@@ -35,6 +36,7 @@ def get_report(
 
     It contains the audit log for persons who may read it. One report is created at a time, in a separate
     process; a second request is answered with 503. An empty range, or one with too many sets: 422.
+    Without the extra ``report``: 501.
     """
     find_last_hour(from_h, to_h)
     context.catalogue()
@@ -46,6 +48,8 @@ def get_report(
             content = worker.submit(
                 build_report_page, context.data_folder, from_h=from_h, to_h=to_h, audited=audited
             ).result()
+    except MissingExtraError as error:
+        raise Problem("missing-extra", f"Reports need figures; {error}.") from error
     except UsageError as error:
         raise invalid("No such report", str(error), "Choose other hours with from_h and to_h.") from error
     finally:

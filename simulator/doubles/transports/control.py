@@ -208,7 +208,7 @@ def running_doubles(
     with tempfile.TemporaryDirectory(prefix="solimon-doubles-") as folder:
         file = Path(folder) / "description.json"
         file.write_text(to_json(description or build_default_description()), encoding="utf-8")
-        command = [sys.executable, "-m", "simulator.doubles", "--description", str(file)]
+        command = [sys.executable, "-P", "-m", "simulator.doubles", "--description", str(file)]
         if not warm_up:
             command.append("--no-warm-up")
         # The double itself is no client: a library path meant for clients does not concern it.

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-import httpx
+import httpx2
 import numpy as np
 import pandas as pd
 import pytest
@@ -203,7 +203,7 @@ def test_events_are_followed_from_the_last_one(way, filled, request):
 
 def test_a_token_is_sent_as_a_bearer_s(monkeypatch):
     given = []
-    monkeypatch.setattr(httpx, "Client", lambda **options: given.append(options))
+    monkeypatch.setattr(httpx2, "Client", lambda **options: given.append(options))
     client.open("http://127.0.0.1:8750", token="abc")
     monkeypatch.setenv("SOLIMON_TOKEN", "def")
     client.open("https://rig.example")
@@ -266,6 +266,6 @@ def test_the_client_imports_nothing_heavy(way, filled, service):
 
 
 def test_a_connection_that_is_closed_ends_who_follows(of_service, service):
-    connection = Connection(httpx.Client(base_url=service.url))
+    connection = Connection(httpx2.Client(base_url=service.url))
     connection.close()
     assert list(connection.events(0, None)) == []

@@ -4,7 +4,7 @@ import itertools
 import json
 import logging
 
-import httpx
+import httpx2
 import pytest
 
 from daq_service.client import connection
@@ -76,8 +76,8 @@ PASSING = {
         "headers": {"Content-Encoding": "gzip"},
         "text": "no gzip at all",
     },
-    "a dead connection": httpx.ReadTimeout("no heartbeat"),
-    "no HTTP": httpx.RemoteProtocolError("illegal header line"),
+    "a dead connection": httpx2.ReadTimeout("no heartbeat"),
+    "no HTTP": httpx2.RemoteProtocolError("illegal header line"),
 }
 STREAM = {"Content-Type": "text/event-stream; charset=utf-8"}
 
@@ -94,11 +94,11 @@ def test_no_temporary_error_ends_the_stream(passing, monkeypatch, caplog):
         if isinstance(given, Exception):
             raise given
         if isinstance(given, str):
-            return httpx.Response(200, content=given, headers=STREAM)
-        content = {"stream": httpx.ByteStream(given["text"].encode())} if "text" in given else {}
-        return httpx.Response(**{key: value for key, value in given.items() if key != "text"}, **content)
+            return httpx2.Response(200, content=given, headers=STREAM)
+        content = {"stream": httpx2.ByteStream(given["text"].encode())} if "text" in given else {}
+        return httpx2.Response(**{key: value for key, value in given.items() if key != "text"}, **content)
 
-    http = httpx.Client(base_url="http://127.0.0.1:1", transport=httpx.MockTransport(answer))
+    http = httpx2.Client(base_url="http://127.0.0.1:1", transport=httpx2.MockTransport(answer))
     events = Connection(http).events(0, None)
     assert [event["id"] for event in itertools.islice(events, 2)] == [1, 2]
     assert last_event_ids == ["0", "1", "1", "1"]

@@ -4,7 +4,7 @@ import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
-import httpx
+import httpx2
 import pytest
 
 from daq_service import client
@@ -79,7 +79,7 @@ def test_loopback_is_connected_directly(variables, monkeypatch, tmp_path):
 )
 def test_every_address_of_this_computer_is_loopback(host, monkeypatch):
     monkeypatch.setenv("ALL_PROXY", DEAD_PROXY)
-    assert find_proxy(httpx.URL(f"http://{host}:8750")) == ("", None)
+    assert find_proxy(httpx2.URL(f"http://{host}:8750")) == ("", None)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_every_address_of_this_computer_is_loopback(host, monkeypatch):
 def test_the_forms_of_no_proxy(host, no_proxy, direct, monkeypatch):
     monkeypatch.setenv("HTTP_PROXY", "proxy.lab:3128")
     monkeypatch.setenv("NO_PROXY", no_proxy)
-    found = find_proxy(httpx.URL(f"http://{host}:8750"))
+    found = find_proxy(httpx2.URL(f"http://{host}:8750"))
     assert found == (("", None) if direct else ("HTTP_PROXY", "http://proxy.lab:3128"))
 
 

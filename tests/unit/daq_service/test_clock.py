@@ -65,6 +65,28 @@ def test_work_between_two_waits_is_part_of_the_pace():
     assert wall.now_ns - 5 * NS_PER_S == 2 * NS_PER_S
 
 
+def test_pacing_starts_with_the_first_wait():
+    wall = FakeWall()
+    clock = SimulatedClock(0, pace_h_per_s=5.0, mono_ns=wall, sleep=wall.sleep)
+    wall.sleep(20.0)  # a rig that takes long to open
+    start_ns = wall.now_ns
+    clock.wait_until(5 * NS_PER_H, always)
+    assert wall.now_ns - start_ns == NS_PER_S
+
+
+def test_a_pace_that_is_not_kept_is_measured():
+    wall = FakeWall()
+    clock = SimulatedClock(0, pace_h_per_s=5.0, mono_ns=wall, sleep=wall.sleep)
+    assert clock.measure_late_pace_h_per_s() is None, "nobody has waited yet"
+    clock.wait_until(5 * NS_PER_H, always)
+    wall.sleep(1.9)
+    assert clock.measure_late_pace_h_per_s() is None, "a moment late"
+    wall.sleep(2.1)
+    assert clock.measure_late_pace_h_per_s() == pytest.approx(1.0)  # 5 h in 5 s
+    clock.finish_now()
+    assert clock.measure_late_pace_h_per_s() is None, "no pace is set"
+
+
 def test_finish_now_ends_the_pacing():
     wall = FakeWall()
     clock = SimulatedClock(0, pace_h_per_s=1e-6, mono_ns=wall, sleep=wall.sleep)

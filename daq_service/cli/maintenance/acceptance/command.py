@@ -17,6 +17,7 @@ from daq_service.cli.maintenance.export import refuse_unsafe_target
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, StorageError
 from daq_service.processes.data_folder import require_data_folder
+from daq_service.processes.installation import require_extras
 from daq_service.shared_file import write_output
 
 STANDARD_OUTPUT = "-"
@@ -40,11 +41,14 @@ def write_acceptance_report(
     Raises
     ------
     UsageError
-        There is no test in the folder, no such limit, or a file to be written exists or is among the test's.
+        There is no test in the folder, no such limit, or a file to be written exists or is among the test's;
+        MissingExtraError: a page is asked for without the extra ``report``.
     StorageError
         The catalogue or its configuration cannot be read, or a file cannot be written.
     """
     criteria = parse_limits(limits)
+    if html is not None:
+        require_extras("report")
     json_file = None if to_json in (None, STANDARD_OUTPUT) else Path(str(to_json))
     require_data_folder(data_dir)
     for target in filter(None, (html, json_file)):

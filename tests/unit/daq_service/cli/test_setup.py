@@ -6,7 +6,7 @@ import queue
 import threading
 from types import SimpleNamespace
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 import support.niscope_rig as probes
@@ -133,7 +133,7 @@ def test_input_typed_ahead_strikes_nothing(monkeypatch):
 
 def test_the_page_is_guarded_as_the_dashboard(terminal):
     dialogue = Dialogue()
-    with serve_page(dialogue, bench(), 0) as address, httpx.Client(base_url=address) as api:
+    with serve_page(dialogue, bench(), 0) as address, httpx2.Client(base_url=address) as api:
         assert address.startswith("http://127.0.0.1:")
         page = api.get("/")
         assert "solimon setup" in page.text
@@ -156,11 +156,11 @@ def test_the_page_is_guarded_as_the_dashboard(terminal):
 
 def test_an_open_page_is_notified_of_the_end():
     with serve_page(Dialogue(), bench(), 0) as address:
-        assert not httpx.get(f"{address}api/state").json()["done"]
+        assert not httpx2.get(f"{address}api/state").json()["done"]
         heard = queue.Queue()
 
         def follow():
-            with httpx.Client(base_url=address) as api:
+            with httpx2.Client(base_url=address) as api:
                 while not api.get("/api/state").json()["done"]:
                     pass
             heard.put(True)
@@ -176,7 +176,7 @@ def test_an_error_of_the_boards_is_shown_on_the_page():
     watched = bench()
     watched.watch = refused
     with serve_page(Dialogue(), watched, 0) as address:
-        assert httpx.post(f"{address}api/record").json() == {
+        assert httpx2.post(f"{address}api/record").json() == {
             "position": None,
             "error": "LabVIEW holds the board; end it",
         }

@@ -96,17 +96,16 @@ def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(caps
     ]
 
 
-def test_a_long_preparation_is_printed_with_its_duration(capsys):
+def test_a_long_preparation_is_one_line_with_its_duration(capsys):
     log = Log()
     with log.report:
-        log.after(0.0, "preparing", what="building the plates")
-        log.after(1.0, "preparing", what="compiling the loops")
-        log.after(40.0, "prepared", what="compiling the loops")
-        log.after(0.0, "prepared", what="building the plates")
-        log.after(0.0, "preparing", what="compiling the loops")
-        log.after(1.9, "prepared", what="compiling the loops")
+        for part, seconds in ((1, 1.0), (2, 20.0), (3, 20.0)):
+            log.after(seconds, "preparing", what=f"compiling: part {part} of 3")
+        log.after(1.0, "prepared", what="compiling")
+        log.after(0.0, "preparing", what="compiling")
+        log.after(1.9, "prepared", what="compiling")
         log.after(9.0, "prepared", what="that of which nobody heard")
-    assert lines(capsys) == ["compiling the loops: took 40 s", "building the plates: took 41 s"]
+    assert lines(capsys) == ["compiling: took 41 s"]
 
 
 def test_the_progress_line_names_the_long_step(capsys):
@@ -114,17 +113,19 @@ def test_the_progress_line_names_the_long_step(capsys):
     text = log.report._compose_progress_line
     log.after(1.0, "beat", doing="opening the rig", process=1)
     assert text().plain == "opening the rig"
-    log.after(0.0, "preparing", what="compiling the loops")
-    log.now_s += 40.0
-    assert text().plain == "compiling the loops; 40 s so far"
-    log.after(1.0, "beat", doing="opening the rig", process=1)
-    log.after(0.0, "prepared", what="compiling the loops")
-    assert text().plain == "opening the rig; 41 s so far", "it began before"
+    log.after(0.0, "preparing", what="compiling: part 2 of 3, 7 s")
+    assert text().plain == "compiling: part 2 of 3, 7 s"
+    log.after(1.0, "prepared", what="compiling")
+    log.after(0.0, "beat", doing="opening the rig", process=1)
+    log.now_s += 41.0
+    assert text().plain == "opening the rig; 41 s so far"
     log.progress(0.0, 5)
     log.after(0.0, "beat", doing="waiting for set 5", process=1)
     assert text().plain == "hour 2.5, set 5 of 100"
     log.now_s += 600.0
     assert text().plain == "hour 2.5, set 5 of 100; waiting for set 5; 10 min so far"
+    log.after(0.0, "beat", doing="taking set 5", pace_h_per_s=1.23)
+    assert text().plain == "hour 2.5, set 5 of 100; slower than set: 1.2 h per s"
     capsys.readouterr()
 
 

@@ -4,7 +4,7 @@ import posixpath
 import re
 from typing import get_args
 
-import httpx
+import httpx2
 import pytest
 from support.served_web import brought, served
 
@@ -58,7 +58,7 @@ def test_every_file_is_served_with_its_type(api, name):
     ],
 )
 def test_no_path_escapes_the_files_of_the_page(api, path):
-    answer = api.get(httpx.URL(f"{api.base_url}static/{path}"))
+    answer = api.get(httpx2.URL(f"{api.base_url}static/{path}"))
     assert answer.status_code in {400, 404}
 
 

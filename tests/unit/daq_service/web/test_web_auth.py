@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
-import httpx
+import httpx2
 import pytest
 from support.filled_folder import filled_folder
 from support.machine import clock_in_seconds
@@ -198,7 +198,7 @@ def test_a_token_is_never_exposed(filled, tokens, caplog):
             api.post("/api/v1/commands", json=HOLD, headers={"Cookie": f"solimon={text}"}),
         ]
     assert [answer.status_code for answer in answers] == [401, 401, 401, 401, 422, 401]
-    ours = [record for record in caplog.records if not record.name.startswith(("httpx", "httpcore"))]
+    ours = [record for record in caplog.records if not record.name.startswith(("httpx2", "httpcore"))]
     output = "".join(answer.text for i, answer in enumerate(answers) if i != 1)
     output += "".join(record.getMessage() for record in ours)
     for path in filled.folder.rglob("*.json*"):
@@ -262,7 +262,7 @@ def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(tls_servi
     service, url, text = tls_service
     assert service.url.startswith("https://lab.example.org:")
     trusted = ssl.create_default_context(cafile=ENCRYPTED["tls_certificate"])
-    with httpx.Client(base_url=url, verify=trusted, timeout=DEADLINE_S) as api:
+    with httpx2.Client(base_url=url, verify=trusted, timeout=DEADLINE_S) as api:
         api.headers["Host"] = "lab.example.org"
         entered = api.post("/api/v1/session", json={"token": text})
         cookie = entered.headers["set-cookie"]
@@ -289,7 +289,7 @@ def test_plain_http_at_the_tls_port_gets_no_response_and_disturbs_no_client(tls_
         except ConnectionResetError:
             answer = b""
     assert b"HTTP" not in answer
-    assert httpx.get(f"{url}/healthz", verify=False, timeout=DEADLINE_S).status_code == 200
+    assert httpx2.get(f"{url}/healthz", verify=False, timeout=DEADLINE_S).status_code == 200
     assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 

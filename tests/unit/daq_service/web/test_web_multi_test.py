@@ -5,7 +5,7 @@ import shutil
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-import httpx
+import httpx2
 import pytest
 from support.filled_folder import FilledFolder, filled_folder
 from support.reported_alarms import notifying
@@ -32,7 +32,7 @@ HOLE, TWIN = Settings(name="Hole Nr. 2"), Settings(name="Hole: its twin", clock=
 @dataclass(frozen=True, slots=True)
 class Several:
     service: Served
-    client: httpx.Client
+    client: httpx2.Client
     hole: FilledFolder
     twin: FilledFolder
 

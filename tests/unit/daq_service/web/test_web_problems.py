@@ -6,6 +6,8 @@ from support.filled_folder import FilledFolder, filled_folder
 from support.served_web import served, served_app
 
 from daq_service.catalogue.connection import FILE_NAME as CATALOGUE_FILE
+from daq_service.processes.data_folder import hold_recorder_lock
+from daq_service.processes.heartbeat import Heartbeat
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.models import CommandRow
@@ -141,7 +143,12 @@ def test_before_the_first_record_there_is_no_data(tmp_path):
             answer = api.get(path)
             problem(answer, 503, "no-data-yet")
             assert answer.headers["retry-after"] == "1"
-        assert api.get("/healthz").json() == {"status": "ok", "data": False}
+        live = {"status": "ok", "data": False, "recorder": "not_started", "doing": None}
+        assert api.get("/healthz").json() == live
+        with hold_recorder_lock(tmp_path):
+            Heartbeat(tmp_path, deadline_s=60.0).beat("compiling: part 1 of 3")
+            working = {"recorder": "running", "doing": "compiling: part 1 of 3"}
+            assert api.get("/healthz").json() == live | working
         # An experiment without a set is still no data; the same process sees the first set.
         filled = FilledFolder(tmp_path, Settings())
         problem(api.get("/api/v1/info"), 503, "no-data-yet")
@@ -156,7 +163,7 @@ def test_a_corrupt_catalogue_is_reported_and_not_shown(tmp_path):
     with served(Settings(), tmp_path) as service, service.client() as api:
         body = problem(api.get("/api/v1/info"), 503, "storage-unavailable")
         assert CATALOGUE_FILE in body["detail"]
-        assert api.get("/healthz").json() == {"status": "ok", "data": False}
+        assert api.get("/healthz").json()["data"] is False
 
 
 def test_an_internal_error_hides_its_details(tmp_path, caplog):

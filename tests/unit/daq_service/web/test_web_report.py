@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 from support.filled_folder import LIMIT_CHART, filled_folder
 from support.invented_rows import set_row
+from support.missing_modules import environment_without
 from support.served_web import served
 from support.small_experiment import AtOnce
 
@@ -276,6 +277,18 @@ def test_more_sets_than_a_page_shows_are_refused(filled, monkeypatch):
     with pytest.raises(UsageError, match=f"more than {N_SETS - 1} sets in this range"):
         read_report_contents(filled.folder)
     assert len(read_report_contents(filled.folder, to_h=20.0).positions) == 4
+
+
+def test_without_the_extra_the_service_names_it(api, tmp_path, monkeypatch):
+    """The report is made in a process of its own."""
+    monkeypatch.setenv("PYTHONPATH", environment_without(tmp_path / "site", "matplotlib")["PYTHONPATH"])
+    answer = api.get("/api/v1/report")
+    assert (answer.status_code, answer.headers["content-type"]) == (501, "application/problem+json")
+    problem = answer.json()
+    assert problem["type"] == "urn:solimon:problem:missing-extra"
+    assert problem["detail"] == (
+        'Reports need figures; matplotlib is not installed: pip install "solimon[report]".'
+    )
 
 
 def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(filled, monkeypatch):

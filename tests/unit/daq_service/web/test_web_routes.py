@@ -5,7 +5,7 @@ import re
 import time
 from datetime import UTC, datetime, timedelta
 
-import httpx
+import httpx2
 import numpy as np
 import pytest
 from support.filled_folder import LIMIT_F, filled_folder, frozen_baseline, served_folder
@@ -25,7 +25,7 @@ from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.supply_state import stamp_state, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE
-from daq_service.processes.heartbeat import FILE_NAME
+from daq_service.processes.heartbeat import FILE_NAME, Heartbeat
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import (
@@ -76,6 +76,13 @@ def test_finish_now_is_offered_only_while_a_paced_test_runs(tmp_path):
         filled.say("schedule_done", filled.due[0].due_utc_ns)
         info = get(api, "/api/v1/info")
         assert (info["clock"]["can_finish_now"], info["as_of"]["recorder"]) == (False, "finished")
+
+
+def test_a_pace_that_is_not_kept_is_shown(tmp_path):
+    with served_folder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}), sets=1) as (_, api):
+        assert get(api, "/api/v1/info")["as_of"]["pace_h_per_s"] is None
+        Heartbeat(tmp_path, deadline_s=60.0, pace=lambda: 1.25).beat("taking set 1")
+        assert get(api, "/api/v1/info")["as_of"]["pace_h_per_s"] == 1.25
 
 
 def test_ages_are_on_the_experiments_clock_and_since_the_last_write(api, filled):
@@ -378,8 +385,8 @@ def test_alarm_filter_by_activity(api):
     ],
 )
 def test_an_unknown_item_is_404(api, path):
-    # A raw request target: httpx would tidy the dots away.
-    answer = api.send(httpx.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
+    # A raw request target: httpx2 would tidy the dots away.
+    answer = api.send(httpx2.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
     assert answer.status_code == 404, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     models.ProblemDetails.model_validate_json(answer.content)

@@ -5,7 +5,7 @@ import queue
 import socket
 import threading
 
-import httpx
+import httpx2
 import pytest
 from support.filled_folder import filled_folder
 from support.served_web import DEADLINE_S, served
@@ -16,7 +16,8 @@ from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES, BoundedHttp
-from daq_service.web.server import bind_socket, serve
+from daq_service.web.port import bind_socket
+from daq_service.web.server import serve
 
 
 @pytest.fixture
@@ -30,7 +31,12 @@ def test_port_zero_takes_a_free_port(filled):
     with served(filled.settings, filled.folder) as service:
         port = int(service.netloc.rpartition(":")[2])
         assert port > 0
-        assert httpx.get(f"{service.url}healthz").json() == {"status": "ok", "data": True}
+        assert httpx2.get(f"{service.url}healthz").json() == {
+            "status": "ok",
+            "data": True,
+            "recorder": None,
+            "doing": None,
+        }
 
 
 def test_port_in_use_is_a_clear_error(tmp_path):
@@ -38,7 +44,9 @@ def test_port_in_use_is_a_clear_error(tmp_path):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(BusyError, match=rf"port {port} of 127.0.0.1 is in use.*--port") as caught:
+        with pytest.raises(
+            BusyError, match=f"Port {port} is in use. Choose another with --port; 0"
+        ) as caught:
             serve(create_app(Settings(), tmp_path), "127.0.0.1", port, on_bound=pytest.fail)
         assert caught.value.exit_code == 5
 
@@ -58,7 +66,7 @@ def test_stop_ends_all_waiting_streams(filled):
     read_to_end = queue.Queue()
 
     def read(url):
-        with httpx.stream("GET", url, timeout=DEADLINE_S) as response:
+        with httpx2.stream("GET", url, timeout=DEADLINE_S) as response:
             connected.release()
             read_to_end.put(response.read())
 

@@ -3,7 +3,7 @@
 import asyncio
 from contextlib import contextmanager
 
-import httpx
+import httpx2
 import pytest
 from support.filled_folder import FilledFolder, filled_folder
 from support.served_web import DEADLINE_S, served, served_app, stream_events, take
@@ -34,7 +34,7 @@ def service(filled):
 @contextmanager
 def connected(service, query="", **headers):
     url = f"{service.url}api/v1/stream{query}"
-    with httpx.stream("GET", url, headers=headers, timeout=DEADLINE_S) as response:
+    with httpx2.stream("GET", url, headers=headers, timeout=DEADLINE_S) as response:
         assert response.status_code == 200
         assert response.headers["content-type"].startswith("text/event-stream")
         yield stream_events(response)
@@ -128,7 +128,7 @@ def test_stream_may_be_opened_before_the_first_record(tmp_path):
 
 @pytest.mark.parametrize("value", ["x", "-1", "1e3", "9" * 30])
 def test_an_invalid_last_event_id_is_rejected(service, value):
-    answer = httpx.get(f"{service.url}api/v1/stream", headers={"Last-Event-ID": value})
+    answer = httpx2.get(f"{service.url}api/v1/stream", headers={"Last-Event-ID": value})
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
 

@@ -1,11 +1,11 @@
-"""Each compilation is reported once, without those it needs."""
+"""The first compilation calls a function once; loading machine code does not."""
 
 import numba
 
-from simulator.numerics.machine_code import report_compilation
+from simulator.numerics.machine_code import call_at_first_compilation
 
 
-def test_a_compilation_is_reported_at_its_start_and_end_only():
+def test_only_the_first_compilation_calls():
     @numba.njit  # nothing is kept on disk: a second run of the tests compiles again
     def inner(x):
         return x + 1.0
@@ -14,10 +14,11 @@ def test_a_compilation_is_reported_at_its_start_and_end_only():
     def outer(x):
         return 2.0 * inner(x)
 
-    reports = []
-    with report_compilation(reports.append):
+    calls = []
+    with call_at_first_compilation(lambda: calls.append(len(outer.signatures))):
         assert outer(1.0) == 4.0
-        assert reports == [True, False], "the inner loop is compiled for the outer one"
+        assert calls == [0], "before the machine code is there"
+        assert outer(1) == 4.0
+    with call_at_first_compilation(lambda: calls.append(2)):
         assert outer(2.0) == 6.0
-    assert outer(1) == 4.0
-    assert reports == [True, False], "nothing new, or nobody listens"
+    assert calls == [0], "nothing new"
