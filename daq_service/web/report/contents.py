@@ -15,7 +15,6 @@ from typing import Any
 from daq_service.assessment.position_status import (
     find_data_age_h,
     find_limit,
-    find_newest_data_hour,
     find_status,
     is_data_stale,
     read_latest_rows,
@@ -56,10 +55,13 @@ OF_ASSESSMENTS = (
     "limit_f_predictive",
     "limit_mean_3sd",
     "limit_name",
+    "limits",
+    "mewma_statistic",
+    "diagnosis_details",
     "outlier",
     "in_baseline",
 )
-OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
+OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "interval_low_m", "interval_high_m", "quality")
 
 Columns = Mapping[str, list[Any]]
 
@@ -94,7 +96,6 @@ class PositionReport:
     serial_number: str
     last: LatestRows
     state: str
-    data_h: float | None
     age_h: float | None
     stale: bool
     limit: float | None
@@ -254,8 +255,13 @@ def _build_position_report(
     is_probe = position_settings.method == PULSE_ECHO
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
     set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
-    assessment_filters: Filters = {**filters, "position": name}
-    states = [row.state for row in sets]
+    assessment_filters: Filters = {**set_filters, "scope": None}
+    states, assessments = [row.state for row in sets], None
+    if not is_probe:
+        from analysis.statistics.named_limits import MEWMA  # with SciPy, which is slow to import
+
+        assessments = catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **assessment_filters)
+        assessments["mewma_limit"] = [(row or {}).get(MEWMA) for row in assessments["limits"]]
     return PositionReport(
         name=name,
         label=position_settings.label,
@@ -263,14 +269,11 @@ def _build_position_report(
         serial_number=position_settings.serial_number,
         last=last,
         state=find_status(last),
-        data_h=find_newest_data_hour(last),
         age_h=age_h,
         stale=is_data_stale(settings.schedule, fresh, age_h),
         limit=find_limit(last, settings.thinnest_m),
         values=catalogue.columns(kind, columns, **set_filters),
-        assessments=None
-        if is_probe
-        else catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **assessment_filters),
+        assessments=assessments,
         states={state: states.count(state) for state in dict.fromkeys(states)},
     )
 

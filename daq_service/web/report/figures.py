@@ -7,25 +7,29 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from daq_service.shared_file import load_module_toml
 from daq_service.web.report.contents import Columns, Contents, PositionReport
-from hardware_drivers.methods import PULSE_ECHO
 
 # Okabe and Ito (2008), Color Universal Design.
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
 WIDTH_IN, PANEL_IN = 7.2, 1.75
+SUMMARY_IN = (3.5, 1.5)
+"""Width and height: two figures next to each other fill a sheet of paper."""
+DOTS = {"linestyle": "none", "marker": "o", "color": BLUE}
 MARGIN = 0.01
 """Fraction of the hours at both ends, so that the first and last points are fully visible."""
 POOR = "suspect or bad"
-ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
+ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4, "columnspacing": 1.0}
 """Position of a legend above the axes."""
 RULES: Any = load_module_toml(__file__)
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -36,21 +40,57 @@ def draw_position_figure(contents: Contents, position: PositionReport) -> str:
 
     A transducer has three panels, a probe one; equal contents give equal bytes.
     """
+    values, assessments = position.values, position.assessments
+    panels = [partial(_draw_thickness, position)]
+    if assessments is not None:
+        points = partial(partial, _draw_points, values)
+        panels = [
+            points("tof_pp_s", 1e6, "time of flight (µs)"),
+            points("amplitude_ratio", 1.0, "amplitude ratio"),
+            partial(_draw_distance, assessments),
+        ]
+    size_in = (WIDTH_IN, 0.35 + PANEL_IN * len(panels))
+    return _draw_panels(contents, position, panels, size_in, f"figure-{position.name}")
+
+
+def draw_summary_figure(contents: Contents, position: PositionReport) -> str:
+    """Draw thickness, control chart or squared distance of a position as small SVG; empty without values.
+
+    A transducer has the control chart if it decides its alarm. Equal contents give equal bytes.
+    """
+    assessments, by_chart = position.assessments, contents.settings.alarms.decides_by == "chart"
+    if assessments is None:
+        panel = partial(_draw_thickness, position)
+    else:
+        draw = _draw_chart if by_chart and any(assessments["mewma_statistic"]) else _draw_distance
+        panel = partial(draw, assessments)
+    return _draw_panels(contents, position, [panel], SUMMARY_IN, f"summary-{position.name}")
+
+
+def _draw_panels(
+    contents: Contents,
+    position: PositionReport,
+    panels: Sequence[Callable[[Axes], None]],
+    size_in: tuple[float, float],
+    prefix: str,
+) -> str:
+    """Draw panels of a position below each other over the hours of the report as SVG element.
+
+    It is empty if the position has no values. ``prefix`` makes its ids unique.
+    """
     if not position.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
-        panels = _draw_echo_panels if position.method == PULSE_ECHO else _draw_wave_panels
-        number = 1 if position.method == PULSE_ECHO else 3
-        figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * number), layout="constrained")
-        axes = [axis for (axis,) in figure.subplots(number, 1, squeeze=False, sharex=True)]
-        panels(contents, position, axes)
-        for axis in axes:
+        figure = Figure(figsize=size_in, layout="constrained")
+        axes = [axis for (axis,) in figure.subplots(len(panels), 1, squeeze=False, sharex=True)]
+        for panel, axis in zip(panels, axes, strict=True):
+            panel(axis)
             _mark_gaps_and_alarms(contents, position, axis)
         to_h = min(contents.to_h, contents.now_h)
         margin_h = MARGIN * (to_h - contents.from_h)
         axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
-        return render_svg(figure, f"figure-{position.name}")
+        return render_svg(figure, prefix)
 
 
 def render_svg(figure: Figure, prefix: str) -> str:
@@ -60,57 +100,53 @@ def render_svg(figure: Figure, prefix: str) -> str:
     return _extract_svg_element(content.getvalue(), prefix)
 
 
-def _draw_wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
-    """Draw time of flight (µs), amplitude ratio and squared distance of a transducer into three panels.
-
-    The distance has a logarithmic axis if any value is positive.
-    """
-    assert position.assessments is not None, "these have them"
-    for axis, name, factor, label in (
-        (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
-        (axes[1], "amplitude_ratio", 1.0, "amplitude ratio"),
-    ):
-        _draw_points(axis, position.values, name, factor, label)
-    distance = axes[2]
-    assessments = position.assessments
-    dots = {"linestyle": "none", "marker": "o", "color": BLUE, "label": "D²"}
+def _draw_distance(assessments: Columns, axis: Axes) -> None:
+    """Draw the squared distance of a transducer's sets with its limits; outliers are diamonds."""
     diamonds = {"marker": "D", "markersize": 5, "markerfacecolor": "none", "color": VERMILLION}
-    outliers = dots | diamonds | {"label": "outlier"}
-    _draw_line(distance, assessments, "distance_squared", dots)
-    _draw_line(
-        distance, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers"
-    )
-    _draw_line(distance, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
-    dashed = {"color": PURPLE, "linestyle": "--", "label": "paper's limit"}
-    _draw_line(distance, assessments, "limit_mean_3sd", dashed)
-    if any(value is not None and value > 0.0 for value in assessments["distance_squared"]):
-        distance.set_yscale("log")
-        distance.yaxis.set_major_formatter(LogFormatter())
-        distance.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))
-    distance.set_ylabel("squared distance")
-    distance.legend(**ABOVE)
+    outliers = DOTS | diamonds | {"label": "outlier"}
+    _draw_line(axis, assessments, "distance_squared", DOTS | {"label": "D²"})
+    _draw_line(axis, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers")
+    _draw_line(axis, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
+    dashed = {"color": PURPLE, "linestyle": "--", "label": "mean + 3 SD"}
+    _draw_line(axis, assessments, "limit_mean_3sd", dashed)
+    _finish_statistic_axis(axis, assessments["distance_squared"], "squared distance")
 
 
-def _draw_echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
-    """Draw the wall thickness (mm) of a probe with its alarm limit and the interval of the newest value."""
-    _draw_points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
+def _draw_chart(assessments: Columns, axis: Axes) -> None:
+    """Draw the statistic of a transducer's control chart with its limit."""
+    _draw_line(axis, assessments, "mewma_statistic", DOTS)
+    _draw_line(axis, assessments, "mewma_limit", {"color": VERMILLION, "label": "limit"})
+    _finish_statistic_axis(axis, assessments["mewma_statistic"], "control chart")
+
+
+def _finish_statistic_axis(axis: Axes, values: Sequence[float | None], label: str) -> None:
+    """Label the axis of a statistic and add its legend; it is logarithmic if any value is positive."""
+    if any(value is not None and value > 0.0 for value in values):
+        axis.set_yscale("log")
+        axis.yaxis.set_major_formatter(LogFormatter())
+        axis.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1, 0.4)))
+    axis.set_ylabel(label)
+    axis.legend(**ABOVE)
+
+
+def _draw_thickness(position: PositionReport, axis: Axes) -> None:
+    """Draw the wall thickness (mm) of a probe's sets with the 95 % interval of each and the alarm limit."""
+    values = position.values
+    low_mm, high_mm = (1e3 * np.array(values[f"interval_{end}_m"], dtype=float) for end in ("low", "high"))
+    axis.fill_between(values["due_h"], low_mm, high_mm, color=GREY, alpha=0.25, lw=0.0, label="95 % interval")
+    _draw_points(values, "thickness_m", 1e3, "wall (mm)", axis)
     if position.limit is not None:
-        axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")
-    last = position.last.last_thickness
-    if last is not None and last.interval_low_m is not None and last.interval_high_m is not None:
-        ends = [1e3 * last.interval_low_m, 1e3 * last.interval_high_m]
-        hours, label = [last.due_h] * 2, "95 % interval of the newest"
-        axes[0].plot(hours, ends, color=GREY, marker="_", label=label)
-    axes[0].legend(**ABOVE)
+        axis.axhline(1e3 * position.limit, color=VERMILLION, label="limit")
+    axis.legend(**ABOVE)
 
 
-def _draw_points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
+def _draw_points(columns: Columns, name: str, factor: float, label: str, axis: Axes) -> None:
     """Draw each set as a point, or as a cross if its quality is not good; ``factor`` converts the unit.
 
     ``label`` names the axis. The legend appears only with crosses.
     """
     for gid, good, style in (
-        (name, True, {"linestyle": "none", "marker": "o", "color": BLUE}),
+        (name, True, DOTS),
         (f"{name}-poor", False, {"linestyle": "none", "marker": "x", "color": VERMILLION, "label": POOR}),
     ):
         rows = [(quality == "good") is good for quality in columns["quality"]]

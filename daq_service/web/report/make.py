@@ -24,10 +24,12 @@ def build_report_page(
     """
     require_extras("report")
     # Imports matplotlib, which nothing else of the service needs.
-    from daq_service.web.report.figures import draw_position_figure
+    from daq_service.web.report.figures import draw_position_figure, draw_summary_figure
     from daq_service.web.report.page import render_report_page
 
     contents = read_report_contents(folder, from_h=from_h, to_h=to_h, audited=audited)
     return render_report_page(
-        contents, {position.name: draw_position_figure(contents, position) for position in contents.positions}
+        contents,
+        {position.name: draw_position_figure(contents, position) for position in contents.positions},
+        {position.name: draw_summary_figure(contents, position) for position in contents.positions},
     )

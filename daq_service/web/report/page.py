@@ -5,116 +5,108 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple, get_args
 
+from analysis.statistics.chart import ENOUGH_SETS
 from daq_service.alarms.evidence import build_evidence_sentences
-from daq_service.alarms.states import NOT_ASSESSED
+from daq_service.alarms.states import PRIORITIES, describe_alarm, format_number
 from daq_service.alarms.transitions import build_transition
-from daq_service.assessment.stored_limits import find_chart_statistic
-from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.settings.tree import AlarmSettings, NoveltySettings
+from daq_service.assessment.position_status import PositionStatus
+from daq_service.settings.tree import AlarmSettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
-from daq_service.web.templates import NOT_KNOWN, format_quantity, format_significant, render_template
-from hardware_drivers.nanoseconds import NS_PER_H
+from daq_service.web.templates import NOT_KNOWN, format_quantity, render_template
 
+MOST_POSITIONS, MOST_ALARMS = 6, 6
+"""Limits of the summary, which fits two pages; the most urgent are shown."""
 Row = Sequence[str]
 
 
-def render_report_page(contents: Contents, figures: Mapping[str, str]) -> bytes:
-    """Render the HTML page in UTF-8; ``figures`` are SVG elements by position, empty without values.
+class Measured(NamedTuple):
+    """Newest value of a quantity in the range with its limit, as texts, and the hour of its set."""
+
+    quantity: str
+    value: str
+    limit: str
+    hour: float
+    quality: str
+
+
+def render_report_page(
+    contents: Contents, figures: Mapping[str, str], summary_figures: Mapping[str, str]
+) -> bytes:
+    """Render the HTML page in UTF-8; figures are SVG elements by position, empty without values.
 
     Raises jinja2.UndefinedError if the template uses an unknown name.
     """
-
-    def explain_alarm(alarm: AlarmRow) -> list[str]:
-        """Return the evidence of an alarm as sentences."""
-        return build_evidence_sentences(alarm, contents.baselines)
-
-    def format_hour(utc_ns: int) -> str:
-        """Format a UTC time in ns as hour of the test with two decimals."""
-        return format_quantity((utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H)
-
+    alarms, active = contents.settings.alarms, [row for row in contents.alarms if row.state != "normal"]
+    urgency = get_args(PositionStatus).index
+    most_urgent = sorted(contents.positions, key=lambda position: -urgency(position.state))[:MOST_POSITIONS]
     return render_template(
         "report.html.j2",
-        title=f"Report of the test {contents.experiment.name}",
+        title=f"Test report: {contents.experiment.name}",
         contents=contents,
+        summarized=[position for position in contents.positions if position in most_urgent],
+        active=sorted(active, key=lambda row: (-PRIORITIES.index(row.priority), row.raised_h)),
         figures=figures,
-        alarm_rule=_list_alarm_rules(
-            contents.settings.alarms,
-            contents.settings.novelty,
-            contents.settings.false_alarms_per_sensor_year(),
-        ),
+        summary_figures=summary_figures,
+        enough_sets=ENOUGH_SETS,
         most_lines=MOST_LINES,
+        most_alarms=MOST_ALARMS,
         configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
-        newest=lambda position: _build_newest_row(position, contents.settings.alarms),
+        newest=lambda position: list(_list_newest(position, alarms)),
+        baselines={row.position: row for row in contents.baselines.values() if row.state == "approved"},
+        diagnosis=_find_newest_diagnosis,
         series=_build_series_rows,
-        sentences=explain_alarm,
-        history_cells=build_history_cells,
-        hour=format_hour,
+        sentences=partial(build_evidence_sentences, baselines=contents.baselines),
+        headline=lambda alarm: describe_alarm(alarm).headline,
+        action=lambda alarm: describe_alarm(alarm).action,
+        transition=build_transition,
     )
 
 
-def build_history_cells(event: EventRow) -> Row:
-    """Return kind, states, person and reason of an event of an alarm as table cells.
-
-    Without a person the reason is empty.
-    """
-    change = build_transition(event)
-    states = ", ".join(filter(None, (change["state"], change["suppressed"])))
-    # Without a person the reason is the message of the alarm, which the page has anyway.
-    reason = change["reason"] or "" if change["author"] else ""
-    return (event.kind.replace("_", " "), states.replace("_", " "), change["author"] or "", reason)
+def _find_newest(values: Sequence[object]) -> int | None:
+    """Find the index of the last value that is not None."""
+    return next((at for at in reversed(range(len(values))) if values[at] is not None), None)
 
 
-def _list_alarm_rules(
-    alarms: AlarmSettings, novelty: NoveltySettings, budget: float
-) -> list[tuple[str, str]]:
-    """Describe the alarm rule and the outlier limit as rows (label, text) of a table.
-
-    ``budget`` is the design false-alarm rate per sensor and year.
-    """
-    outlier = f"{novelty.limit}, {novelty.false_alarm_rate:g} false alarms a set"
-    of_sets = f"at {alarms.k} of {alarms.n} sets"
-    if alarms.decides_by != "chart":
-        return [("Limit that decides", outlier), ("Alarm", of_sets)]
-    by_chart = (
-        f"by the chart beyond its limit, made for {budget:g} false alarms a sensor and year, or by a "
-        f"cause named WALL; {of_sets} where a baseline of an earlier version has no chart"
-    )
-    return [
-        ("Alarm", by_chart),
-        ("Limit of an outlier", f"{outlier}; an outlier alone raises no alarm"),
-    ]
+def _find_newest_diagnosis(position: PositionReport) -> tuple[float, Mapping[str, float]] | None:
+    """Find the newest diagnosis of a transducer: its hour and the probability of each cause."""
+    assessments = position.assessments or {}
+    if (at := _find_newest(assessments.get("diagnosis_details", ()))) is None:
+        return None
+    return assessments["due_h"][at], assessments["diagnosis_details"][at]["probabilities"]
 
 
-def _build_newest_row(position: PositionReport, alarms: AlarmSettings) -> Row:
-    """Return the newest value of a position and its limit as table cells.
-
-    A thickness is in mm; else the squared distance D², or the reason why it is missing, and the chart's
-    statistic.
-    """
-    assessment, thickness = position.last.last_assessment, position.last.last_thickness
-    if thickness is not None:
-        return format_quantity(thickness.thickness_m, 1e3, 3, "mm"), format_quantity(
-            position.limit, 1e3, 3, "mm"
-        )
-    value = f"D² {format_significant(assessment.distance_squared if assessment else None)}"
-    if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
-        value = f"not judged: {assessment.reason}"
-    limit = format_significant(position.limit)
-    if (chart := find_chart_statistic(assessment, alarms)) is None:
-        return value, limit
-    return f"{value}; chart {format_significant(chart[0])}", f"{limit}; chart {format_significant(chart[1])}"
+def _list_newest(position: PositionReport, alarms: AlarmSettings) -> Iterator[Measured]:
+    """Yield the newest values of a position: thickness, or control chart (if it decides) and distance."""
+    columns, wanted = position.values, {"thickness_m": "Wall thickness"}
+    qualities = dict(zip(columns["due_h"], columns["quality"], strict=True))
+    if position.assessments is not None:
+        by_chart = {"mewma_statistic": "Control chart"} if alarms.decides_by == "chart" else {}
+        columns, wanted = position.assessments, by_chart | {"distance_squared": "Squared distance D²"}
+    for column, quantity in wanted.items():
+        if (at := _find_newest(columns[column])) is None:
+            continue
+        value, hour = columns[column][at], columns["due_h"][at]
+        limit = columns["mewma_limit"][at] if column == "mewma_statistic" else position.limit
+        texts = format_number(value), NOT_KNOWN if limit is None else format_number(limit)
+        if column == "thickness_m":
+            ends = (format_quantity(columns[f"interval_{end}_m"][at], 1e3) for end in ("low", "high"))
+            wall, limit_mm = (format_quantity(one, 1e3, 2, "mm") for one in (value, limit))
+            texts = f"{wall} (95 % interval {' to '.join(ends)} mm)", limit_mm
+        yield Measured(quantity, *texts, hour, qualities.get(hour, NOT_KNOWN))
 
 
 def _build_series_rows(position: PositionReport) -> Iterator[Row]:
     """Yield for each measured quantity of a position a table row with its statistics over the range."""
     if position.assessments is None:
-        yield _build_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")
-        yield _build_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")
+        yield _build_series_row("Wall thickness", position.values, "thickness_m", 1e3, 2, "mm")
+        yield _build_series_row("Wall loss", position.values, "thickness_loss_m", 1e3, 2, "mm")
     else:
-        yield _build_series_row("Time of flight", position.values, "tof_pp_s", 1e6, 3, "µs")
-        yield _build_series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 4, "")
-        yield _build_series_row("Squared distance", position.assessments, "distance_squared", 1.0, 3, "")
+        yield _build_series_row("Time of flight", position.values, "tof_pp_s", 1e6, 1, "µs")
+        yield _build_series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 3, "")
+        yield _build_series_row("Squared distance", position.assessments, "distance_squared", 1.0, 1, "")
 
 
 def _build_series_row(

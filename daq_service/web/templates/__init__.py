@@ -6,6 +6,7 @@ A page is one file without scripts: `base.html.j2` has head and style, `macros.h
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
@@ -15,7 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from daq_service.clock import format_utc
 
-NOT_KNOWN = "not known"
+NOT_KNOWN = "not available"
 
 
 def render_template(template: str, **context: object) -> bytes:
@@ -46,7 +47,8 @@ def _create_environment() -> Environment:
         "plain": format_plain_text,
         "quantity": format_quantity,
         "significant": format_significant,
-        "utc": lambda utc_ns: format_utc(utc_ns, 0),
+        "percent": format_percent,
+        "utc": lambda utc_ns: f"{format_utc(utc_ns, 0)[:16].replace('T', ' ')} UTC",
         "words": lambda name: name.replace("_", " "),
     }
     environment.globals |= {"not_known": NOT_KNOWN, "solimon": f"solimon {version('solimon')}"}
@@ -65,13 +67,19 @@ def format_significant(value: float | None, digits: int = 4) -> str:
     return NOT_KNOWN if value is None else f"{value:.{digits}g}"
 
 
+def format_percent(probability: float) -> str:
+    """Format a probability in whole percent, rounded down; at most ``> 99 %``."""
+    return "> 99 %" if probability > 0.99 else f"{math.floor(100.0 * probability)} %"
+
+
 def format_plain_text(value: object) -> str:
     """Format any value of a row as text: items of collections joined by commas, None as `NOT_KNOWN`.
 
-    A float has four significant digits.
+    A float has four significant digits. Missing values of a mapping are left out.
     """
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {format_plain_text(item)}" for name, item in value.items())
+        known = {name: item for name, item in value.items() if item is not None}
+        return ", ".join(f"{name} {format_plain_text(item)}" for name, item in known.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(format_plain_text, value))
     return format_significant(value) if isinstance(value, float) or value is None else str(value)

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport
 from daq_service.cli.maintenance.acceptance.criteria import Comparison
-from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table
+from daq_service.cli.maintenance.acceptance.quantity import Quantity
 from daq_service.web.templates import NOT_KNOWN, render_template
 
 SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
@@ -41,16 +41,7 @@ def render_report(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> by
         sections=[(name, list(quantities)) for name, quantities in sections],
         asked=format_limit,
         interval=format_quantity,
-        number_columns=_list_number_columns,
     )
-
-
-def _list_number_columns(table: Table) -> list[str]:
-    """Return the names of the columns with a number in the first row; none for an empty table."""
-    first = table.rows[0] if table.rows else ()
-    return [
-        name for name, value in zip(table.text.columns, first, strict=False) if isinstance(value, int | float)
-    ]
 
 
 def format_with_interval(unit: str, *values: float | int | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 
@@ -14,7 +14,6 @@ from daq_service.catalogue.rows import as_dict
 from daq_service.cli.offline.evidence.figures import Picture
 from daq_service.recording.reassessment.changes import NOT_COMPARED
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
-from daq_service.web.report.page import build_history_cells
 from daq_service.web.templates import render_template
 
 NOT_SHOWN = (*NOT_COMPARED, "averages")
@@ -58,12 +57,9 @@ def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
         sentences=_describe_evidence(found),
         pictures=pictures,
         recomputation=describe_recomputation(found),
-        assessment=_yield_facts_with_value(
-            {name: assessment[name] for name in assessment if name not in NOT_SHOWN}
-        ),
+        assessment={name: assessment[name] for name in assessment if name not in NOT_SHOWN},
         guidance=_find_guidance(found),
-        history_cells=build_history_cells,
-        evidence=_yield_facts_with_value(found.alarm.evidence),
+        transition=build_transition,
     )
 
 
@@ -114,12 +110,3 @@ def _describe_evidence(found: Explained) -> list[str]:
     """Describe the stored evidence of the alarm in sentences, with the baseline if it was recomputed."""
     baseline = None if found.again is None else found.again.baseline
     return build_evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
-
-
-def _yield_facts_with_value(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
-    """Yield the name and value of each fact that is not None; drop None within mappings, too."""
-    for name, value in facts.items():
-        if isinstance(value, Mapping):
-            yield name, {key: item for key, item in value.items() if item is not None}
-        elif value is not None:
-            yield name, value

@@ -160,8 +160,9 @@ def _yield_panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
             of_it = {name: limits.get(name) for name in names if LIMITS[name].of == statistic}
             a_name = next(iter(of_it))
             values = [(row.due_h, find_limit_statistic(row, a_name)) for row in recomputed.assessments]
-            label = "squared distance" if statistic == DISTANCE else statistic.replace("_", " ")
-            yield _Panel(label, values, {f"limit {name}": limit for name, limit in of_it.items()})
+            label = {DISTANCE: "squared distance", MEWMA: "control chart"}.get(statistic, statistic)
+            shown = {f"limit {name}" if name != MEWMA else "limit": limit for name, limit in of_it.items()}
+            yield _Panel(label.replace("_", " "), values, shown)
 
 
 def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:

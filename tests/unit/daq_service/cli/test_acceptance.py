@@ -392,7 +392,7 @@ def test_the_how_to_lists_every_limit():
         (("B a 1,000 sets", -2.5e3, -3e3, 1e3), "-2.5 (-3 to 1) kB a 1,000 sets"),
         (("1", 12_345), "12,345"),
         (("1 a 1,000 sets", 0.5), "0.5 a 1,000 sets"),
-        (("s", None), "not known"),
+        (("s", None), "not available"),
     ],
 )
 def test_a_number_is_shown_with_its_unit(arguments, text):

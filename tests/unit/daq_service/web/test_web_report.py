@@ -3,21 +3,23 @@
 import json
 import re
 from contextlib import nullcontext
+from dataclasses import replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from support.filled_folder import LIMIT_CHART, filled_folder
+from support.filled_folder import LIMIT_CHART, filled_folder, frozen_baseline
 from support.invented_rows import set_row
 from support.missing_modules import environment_without
 from support.served_web import served
 from support.small_experiment import AtOnce
 
 from daq_service import client
+from daq_service.alarms.states import describe_alarm, format_number
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import ThicknessRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow, ThicknessRow
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
@@ -25,17 +27,21 @@ from daq_service.web.auth.tokens import create_token
 from daq_service.web.report import contents
 from daq_service.web.report.contents import read_report_contents
 from daq_service.web.report.figures import GREEN, draw_position_figure
-from daq_service.web.report.page import _list_alarm_rules
 from daq_service.web.routes import report as route
-from daq_service.web.templates import format_quantity, format_significant
+from daq_service.web.templates import (
+    _create_environment,
+    format_percent,
+    format_quantity,
+)
 
 N_SETS = 56
+HEADINGS = ("h2", "h3", "h4")
 NOTE = "seen <b>&amp;"
 OF_SERIES = {
-    "Time of flight": ("features", "tof_pp_s", 1e6, 3, "µs"),
-    "Amplitude ratio": ("features", "amplitude_ratio", 1.0, 4, ""),
-    "Squared distance": ("assessments", "distance_squared", 1.0, 3, ""),
-    "Wall thickness": ("thickness", "thickness_m", 1e3, 4, "mm"),
+    "Time of flight": ("features", "tof_pp_s", 1e6, 1, "µs"),
+    "Amplitude ratio": ("features", "amplitude_ratio", 1.0, 3, ""),
+    "Squared distance": ("assessments", "distance_squared", 1.0, 1, ""),
+    "Wall thickness": ("thickness", "thickness_m", 1e3, 2, "mm"),
 }
 
 
@@ -51,6 +57,15 @@ def filled(tmp_path_factory):
         folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
         folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
         folder.annotate(20.0, "door open")
+        quality = {"n": 48, "false_alarms_per_sensor_year": 0.2, "rate_verified": False}
+        unverified = frozen_baseline(
+            "B", baseline_quality={**quality, "rate_not_verified_reason": "few sets"}
+        )
+        verified = frozen_baseline("C", baseline_quality={**quality, "rate_verified": True}, approval="ann")
+        folder.catalogue.commit_set(SetCommit(baselines=[unverified, verified]))
+        (newest,) = folder.catalogue.rows(AssessmentRow, position="B", set_index=N_SETS - 1)
+        details = {"probabilities": {"ok": 0.004, "sensor": 0.0199, "wall": 0.9761}}
+        folder.catalogue.restore_rows([replace(newest, diagnosis_details=details)])
         for index in (N_SETS, N_SETS + 1, N_SETS + 3):
             folder.catalogue.commit_set(SetCommit(sets=[missed(folder, index)]))
         yield folder
@@ -84,7 +99,7 @@ class Page(HTMLParser):
         self.loaded += [] if href.startswith("#") else [href]
         if tag in ("script", "link", "iframe"):
             self.loaded.append(tag)
-        if tag in ("h2", "h3"):
+        if tag in HEADINGS:
             self._heading = ""
         if tag == "tr":
             self._row = []
@@ -100,8 +115,12 @@ class Page(HTMLParser):
         self.words.append(as_shown(data))
         if self._row:
             self._row[-1] += data
-        elif self._tag in ("h2", "h3") and data.strip():
+        elif self._tag in HEADINGS and data.strip():
             self._heading = data
+
+
+def find_alarm(page, alarm_id):
+    return next(rows for heading, rows in page.tables.items() if heading.startswith(f"Alarm {alarm_id}: "))
 
 
 def make_report(folder, *arguments):
@@ -130,35 +149,100 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
                     position,
                     name,
                 )
-        now = {row[0]: row for row in page.tables["How it stands"]}
         newest = test.assessments("B").iloc[-1]
         info = test.info()
-    text = format_significant
-    assert now["B"][2:5] == [
-        f"D² {text(newest['distance_squared'])}; chart {text(newest['mewma_statistic'])}",
-        f"{format_significant(newest['limit_f_predictive'])}; chart {format_significant(LIMIT_CHART)}",
-        newest["quality"],
-    ]
-    assert now["B"][1] == "alarm"
-    identity = {row[0]: row[1] for row in page.tables["What was tested"]}
+    hour = format_quantity(newest["due_h"])
+    for name, value, limit in (
+        ("Control chart", newest["mewma_statistic"], LIMIT_CHART),
+        ("Squared distance D²", newest["distance_squared"], newest["limit_f_predictive"]),
+    ):
+        texts = [format_number(value), format_number(limit)]
+        assert ["B", "alarm", name, *texts, newest["quality"], hour, "1"] in page.tables["Status"]
+    identity = {row[0]: row[1] for row in page.tables["Identity"]}
     assert identity["Configuration"] == f"SHA-256 {info['configuration_hash']}"
 
 
+def test_the_summary_has_findings_alarms_actions_and_reliability(filled, page):
+    words = " ".join(page.words)
+    rows = filled.catalogue.rows(SetRow)
+    n_done = sum(row.state == "done" for row in rows)
+    assert f"{n_done} of {len(rows)} scheduled sets are complete" in words
+    assert "The rig is simulated: no real wall was measured." in words
+    assert "Alarms are active at B, C." in words
+    alarms = sorted(filled.catalogue.rows(AlarmRow, active=True), key=lambda row: row.raised_h)
+    listed = page.tables["Active alarms and actions"][1:]
+    assert [row[:2] for row in listed] == [
+        [row.priority.capitalize(), describe_alarm(row).headline] for row in alarms
+    ]
+    assert [row[4] for row in listed] == [describe_alarm(row).action for row in alarms]
+    assert [row[2] for row in listed] == [
+        "hour 5.5 (2024-01-01 05:30 UTC)",
+        "hour 26.5 (2024-01-02 02:30 UTC)",
+    ]
+    reliability = {row[0]: row[1:] for row in page.tables["Reliability of the findings"]}
+    rate = "design rate 0.2 per transducer-year"
+    assert reliability["B"] == [
+        "56 complete",
+        f"{rate}, not verified: 48 sets, 150 needed",
+        "wall 97 %, sensor 1 % (hour 28.0)",
+        "48 sets, not reviewed",
+    ]
+    assert reliability["C"][1:] == [f"{rate}, verified", "not available", "48 sets, approved by ann"]
+    assert reliability["A"][1] == "alarm at 3 of 5 sets"
+    assert reliability["D"][0] == "56 complete, 3 missed"
+    assert page.ids.index("reliability") < page.ids.index("identity"), "the appendix comes last"
+
+
+def test_a_rate_is_described_with_the_reason_why_it_is_not_verified():
+    macros = _create_environment().get_template("macros.html.j2").module
+
+    def describe(baseline, alarms):
+        return as_shown(str(macros.false_alarm_rate(baseline, alarms, 150)))
+
+    quality = {"n": 150, "false_alarms_per_sensor_year": 0.5, "rate_verified": False}
+    row = frozen_baseline("B", baseline_quality={**quality, "rate_not_verified_reason": "a trend"})
+    alarms = Settings().alarms
+    assert describe(row, alarms) == "design rate 0.5 per transducer-year, not verified: a trend"
+    assert describe(None, alarms) == describe(frozen_baseline("B"), alarms) == "not available"
+    by_count = alarms.model_copy(update={"decides_by": "k_of_n"})
+    assert describe(row, by_count) == "no design rate: alarm at 3 of 5 sets"
+
+
+def test_probabilities_are_rounded_down():
+    assert [format_percent(value) for value in (0.9999, 0.979, 0.004)] == ["> 99 %", "97 %", "0 %"]
+
+
+def test_hostile_text_is_shown_as_text(tmp_path):
+    evil = "<script>alert(1)</script><img src=x onerror=alert(1)>"
+    settings = Settings(name=evil, positions={"B": {"label": evil, "method": "solitary_wave"}})
+    with filled_folder(tmp_path, settings, sets=1) as folder:
+        alarm = folder.add_alarm("B", 0, message=evil, evidence={evil: evil})
+        command_id = folder.catalogue.add_command(
+            evil, "acknowledge_alarm", {"alarm_id": alarm, "note": evil}
+        )
+        folder.acknowledge(alarm, folder.catalogue.command(command_id))
+        folder.annotate(0.5, evil, position="B")
+        make_report(tmp_path, "--out", tmp_path / "out.html")
+    page = Page((tmp_path / "out.html").read_bytes())
+    assert page.loaded == []
+    assert sum(evil in word for word in page.words) > 8
+
+
 def decides(alarms):
-    settings = Settings(alarms=alarms)
-    budget = settings.false_alarms_per_sensor_year()
-    return dict(_list_alarm_rules(settings.alarms, settings.novelty, budget))
+    macros = _create_environment().get_template("macros.html.j2").module
+    page = Page(str(macros.alarm_rules(Settings(alarms=alarms))).encode())
+    return dict(page.tables[""])
 
 
 def test_the_report_describes_the_configured_alarm_rule():
     by_chart = decides({"false_alarms_per_sensor_year": 0.5})
-    assert by_chart["Alarm"].startswith(
-        "by the chart beyond its limit, made for 0.5 false alarms a sensor and year"
+    assert by_chart["Alarm rule"].startswith(
+        "MEWMA control chart above its limit (design rate 0.5 per transducer-year)"
     )
-    assert by_chart["Limit of an outlier"].endswith("an outlier alone raises no alarm")
+    assert by_chart["Outlier limit"].endswith("an outlier alone raises no alarm")
     assert decides({"decides_by": "k_of_n", "k": 2, "n": 4}) == {
-        "Limit that decides": "f_predictive, 0.0027 false alarms a set",
-        "Alarm": "at 2 of 4 sets",
+        "Alarm rule": "2 of 4 sets above the outlier limit",
+        "Outlier limit": "f_predictive, 0.0027 false alarms per set",
     }
 
 
@@ -192,31 +276,32 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
 
 
 def test_the_report_has_gaps_alarms_evidence_history_and_commands(page):
-    assert [row for row in page.tables["Gaps"] if row[0] == "D"] == [
+    assert [row for row in page.tables["Missed and incomplete sets"] if row[0] == "D"] == [
         ["D", "missed", "held", "28.50", "29.00", "2"],
         ["D", "missed", "held", "30.00", "30.00", "1"],
     ]
-    alarm = page.tables["Position B: wall change, high"]
+    alarm = find_alarm(page, 1)
     assert ["limit", "24.3"] in alarm
     shares = "Largest contributions: time of flight between the peaks 70 %, amplitude ratio 30 %."
     assert shares in page.words
     assert ["contributions", "tof_pp_s 21.4, amplitude_ratio 9.1"] in alarm
-    assert [row[1:] for row in alarm if row[0] == "26.50"][-1] == [
+    assert [row[1:] for row in alarm if row[0] == "2024-01-02 02:30 UTC"][-1] == [
         "alarm acknowledged",
         "acknowledged",
         "ann",
         NOTE,
     ]
-    shelved = page.tables["Position C: wall change, high"]
-    assert [row[1:] for row in shelved if row[0] == "5.50"][-1] == [
+    shelved = find_alarm(page, 2)
+    assert [row[1:] for row in shelved if row[0] == "2024-01-01 05:30 UTC"][-1] == [
         *("alarm shelved", "unacknowledged, shelved", "ann", "a new coil comes")
     ]
-    assert "unacknowledged; acknowledged by nobody." in " ".join(page.words), "its shelf has expired"
+    states = [row[3] for row in page.tables["Active alarms and actions"][1:]]
+    assert states == ["unacknowledged", f"acknowledged by ann: {NOTE}"], "its shelf has expired"
     assert page.tables["Annotations"][1:] == [
-        ["3.00", "5.50", "B", "couplant <renewed>", "ann, at hour 0.50", ""],
-        ["20.00", "20.00", "the whole test", "door open", "ann, at hour 0.50", ""],
+        ["3.00", "5.50", "B", "couplant <renewed>", "ann, 2024-01-01 00:30 UTC", ""],
+        ["20.00", "20.00", "complete test", "door open", "ann, 2024-01-01 00:30 UTC", ""],
     ]
-    (order,) = [row for row in page.tables["Orders"] if row[1] == "ann"]
+    (order,) = [row for row in page.tables["Commands"] if row[1] == "ann"]
     assert order[2:] == ["acknowledge alarm", f"alarm_id 1, note {NOTE}", "done", "acknowledged"]
     assert any(NOTE in word for word in page.words), "as it was written, and no markup"
 
@@ -228,8 +313,11 @@ def test_the_report_is_self_contained_with_unique_ids(page):
 
 def test_the_wall_has_the_interval_of_its_newest_reading(filled, page):
     newest = filled.catalogue.rows(ThicknessRow, position="A")[-1]
-    ends = f"{1e3 * newest.interval_low_m:.4f} to {1e3 * newest.interval_high_m:.4f} mm"
-    assert f"95 % interval of the newest reading: {ends}." in page.words
+    wall, low, high = (
+        f"{1e3 * value:.2f}" for value in (newest.thickness_m, newest.interval_low_m, newest.interval_high_m)
+    )
+    shown = f"Wall thickness {wall} mm (95 % interval {low} to {high} mm), limit 5.71 mm, quality good"
+    assert f"{shown} (hour 28.0)." in page.words
 
 
 def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
@@ -241,12 +329,12 @@ def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
     assert rows["Time of flight"][1:4] == [
         *(
             str(len(values)),
-            format_quantity(values.iloc[0], 1e6, 3, "µs"),
-            format_quantity(values.iloc[-1], 1e6, 3, "µs"),
+            format_quantity(values.iloc[0], 1e6, 1, "µs"),
+            format_quantity(values.iloc[-1], 1e6, 1, "µs"),
         )
     ]
-    assert "Position C: wall change, high" in part.tables, "it stood then"
-    assert "Position B: wall change, high" not in part.tables, "it was raised later"
+    assert find_alarm(part, 2), "it was active then"
+    assert not any(heading.startswith("Alarm 1:") for heading in part.tables), "it was raised later"
     assert [row[3] for row in part.tables["Annotations"][1:]] == ["couplant <renewed>"]
 
 
