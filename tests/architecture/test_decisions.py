@@ -4,41 +4,13 @@ import re
 from pathlib import Path
 
 import pytest
+from support.plain_language import LINK, MOST_WORDS_PER_SENTENCE, REFUSED, count_words, split_sentences
 
 DECISIONS = Path(__file__).parents[2] / "docs/decisions"
 RECORDS = sorted(DECISIONS.glob("[0-9]*.md"))
 MOST_WORDS = 350
-MOST_WORDS_PER_SENTENCE = 30
 SECTIONS = ["Context", "Decision", "Consequences"]
 SUCCESSORS = re.compile(r"(?:changed|extended)\b.*")
-LINK = re.compile(r"\[([^]]*)\]\(([^)]*)\)")
-REFUSED = re.compile(
-    r"\b(?:tells?|telling|told)\b"
-    r"|\b(?:anew|beside|thereby|whoever|whatever|nobody|somebody|so far as)\b"
-    r"|(?-i:(?:^|[.!?]\s+)(?:Of|Beside|Behind)\s(?!course\b))"
-    r"|(?-i:(?:^|[.!?]\s+)(?:What|Who|Whoever)\s(?!to\b)[^.?!\n]*\.(?=\s|$))"
-    r"|\bstands?\b(?!-?(?:for|alone|by|out)\b)|\blies? (?:beyond|within|together|alone)\b"
-    r"|\b(?:sets|shots|readings|days) running\b"
-    r"|\b(?:alarms?|hours?|sets?|samples?|shots?|rows?|h|V) an? (?:second|hour|day|year|sensor|set|row)\b"
-    r"|\bno more\b(?! than)"
-    r"|\b(?:judg(?:e|es|ed|ing|ement)|verdicts?|once more|begun|mend(?:s|ed)?|graver?|gravest)\b",
-    flags=re.IGNORECASE,
-)
-"""Constructions that are hard to read in a second language, or for which the glossary has a term."""
-
-
-def read_sentences(path: Path) -> list[str]:
-    """Read the sentences of a page: unwrapped, without code spans, emphasis and the targets of links."""
-    text = re.sub(r"`[^`]*`", "", path.read_text(encoding="utf-8"))
-    text = LINK.sub(r"\1", text).replace("*", "")
-    pieces = re.split(r"\n\s*\n|\n(?=- )|[|]", text)
-    unwrapped = [" ".join(re.sub(r"^\s*(?:#+|-) ", "", piece).split()) for piece in pieces]
-    return [sentence for piece in unwrapped for sentence in re.split(r"(?<=[.!?])\s+", piece) if sentence]
-
-
-def count_words(text: str) -> int:
-    """Count the words and numbers of a text."""
-    return sum(any(letter.isalnum() for letter in word) for word in text.split())
 
 
 def read_heading_and_status(path: Path) -> tuple[str, str]:
@@ -60,7 +32,7 @@ def test_a_record_is_one_page_of_context_decision_and_consequences(path):
 
 @pytest.mark.parametrize("path", [*RECORDS, DECISIONS / "README.md"], ids=lambda path: path.stem)
 def test_a_page_is_in_short_sentences_of_plain_words(path):
-    sentences = read_sentences(path)
+    sentences = split_sentences(path.read_text(encoding="utf-8"))
     assert [found.group() for found in map(REFUSED.search, sentences) if found] == []
     assert [each for each in sentences if count_words(each) > MOST_WORDS_PER_SENTENCE] == []
 
