@@ -225,6 +225,11 @@ class ProgressReport:
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
+    def _report_due(self, *, set_index: int, due_utc_ns: int, in_s: float) -> None:
+        """Print when the first set of this run is due: local time with its offset, and in how many minutes."""
+        local = datetime.fromtimestamp(due_utc_ns / NS_PER_S).astimezone()
+        self._queue_line(f"set {set_index} is due at {local:%Y-%m-%d %H:%M %z}, in {max(in_s, 0.0) / 60.0:.0f} min")
+
     def _report_waits(self, *, reason: str) -> None:
         """Print the reason why the recorder waits, in yellow."""
         self._queue_line(f"waiting: {reason}", style="yellow")
