@@ -94,8 +94,9 @@ class DueSets:
         """
         if not self._reported_due:
             self._reported_due = True
-            in_s = (due.due_utc_ns - self._clock.utc_ns()) / NS_PER_S
-            self._resources.report("due", set_index=due.set_index, due_utc_ns=due.due_utc_ns, in_s=in_s)
+            in_s = max(0.0, (due.due_utc_ns - self._clock.utc_ns()) / NS_PER_S)
+            which = {"set_index": due.set_index, "due_h": due.due_h, "due_utc_ns": due.due_utc_ns}
+            self._resources.report("due", **which, in_s=in_s)
         self._self_calibrate_if_due(due)
         # Simulated time has no idle hours: there files are checked after the last set.
         self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf

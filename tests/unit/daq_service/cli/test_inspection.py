@@ -58,7 +58,8 @@ LATER = "no set is due up to hour {}; the first interval is {} h. Shorten interv
     [
         (
             "[schedule]\nend_h = 24.0",
-            "  baseline.hours = 24 takes 48 sets, and the schedule has 48: no set would be assessed. " + BASELINE,
+            "  baseline.hours = 24 takes 48 sets, and the schedule has 48: no set would be assessed. "
+            + BASELINE,
         ),
         ("[schedule]\nend_h = 0.25", "  schedule: " + LATER.format("0.25", "0.5")),
         (
