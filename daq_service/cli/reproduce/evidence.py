@@ -60,8 +60,8 @@ class Series:
         `ASSESSED` (1 yes, 0 no) of a solitary-wave transducer, `ECHOES` of an ultrasonic probe.
     baseline
         Row of the catalogue; None before it is frozen, and of a probe.
-    first_alarm_h
-        Hour of the first alarm about the wall, None where there is none.
+    alarms_h
+        Hour of the first alarm about the wall by its kind, in order; empty where there is none.
     """
 
     position: str
@@ -70,7 +70,12 @@ class Series:
     hour_h: FloatArray
     values: Mapping[str, FloatArray]
     baseline: BaselineRow | None
-    first_alarm_h: float | None
+    alarms_h: Mapping[str, float]
+
+    @property
+    def first_alarm_h(self) -> float | None:
+        """Return the hour of the first alarm about the wall, None where there is none."""
+        return min(self.alarms_h.values(), default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,7 +114,7 @@ class Evidence:
     seed
         Of the twin; None for a real specimen.
     traces
-        By position: `TRACES` sets or fewer.
+        By position: `TRACES` sets or fewer, and those that raised an alarm.
     trouble
         What could not be read, each a sentence.
     """
@@ -132,6 +137,20 @@ class Evidence:
         """Return the hour of the last set of any position; 0 without sets."""
         series = (*self.pulses.values(), *self.echoes.values())
         return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
+
+    def find_true_loss(self, position: str, hour_h: float) -> float | None:
+        """Return the wall loss in m that the twin knows at a set of `traces`; None if it is not known."""
+        for trace in self.traces.get(position, ()):
+            if trace.hour_h == hour_h and "depth_fraction" in trace.truth:
+                return trace.truth["depth_fraction"] * self.pulses[position].settings.plate.thickness_m
+            if trace.hour_h == hour_h and "thickness_m" in trace.truth:
+                return self.settings.ultrasound.initial_thickness_m - trace.truth["thickness_m"]
+        return None
+
+    def describe_true_loss(self, position: str, hour_h: float) -> str:
+        """Describe the wall loss of `find_true_loss` in words."""
+        loss_m = self.find_true_loss(position, hour_h)
+        return "true wall loss not known" if loss_m is None else f"true wall loss {1e3 * loss_m:.2f} mm"
 
 
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
@@ -170,7 +189,10 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    traces, trouble = _average_selected_sets(FolderSetReader(folder), sets) if with_traces else ({}, ())
+    alarms_h = [hour_h for one in series for hour_h in one.alarms_h.values()]
+    traces, trouble = (
+        _average_selected_sets(FolderSetReader(folder), sets, alarms_h) if with_traces else ({}, ())
+    )
     return Evidence(
         folder=folder,
         name=row.name,
@@ -199,9 +221,10 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
             of_set = dict(zip(assessments["set_index"], assessments[name], strict=True))
             columns[name] = [of_set.get(index) for index in found["set_index"]]
     columns |= {name: found[name] for name in found if name not in ("set_index", "due_h")}
-    alarms_h = [
-        row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
-    ]
+    alarms_h = dict[str, float]()
+    for row in sorted(catalogue.rows(AlarmRow, position=position), key=lambda row: row.raised_h):
+        if row.alarm_class == "damage":
+            alarms_h.setdefault(row.kind, row.raised_h)
     return Series(
         position=position,
         settings=settings,
@@ -209,7 +232,7 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
         hour_h=_to_float_array(found["due_h"]),
         values={name: _to_float_array(values) for name, values in columns.items()},
         baseline=catalogue.baseline(position),
-        first_alarm_h=min(alarms_h, default=None),
+        alarms_h=alarms_h,
     )
 
 
@@ -219,9 +242,9 @@ def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
 
 
 def _average_selected_sets(
-    archive: SetReader, sets: Sequence[SetRow]
+    archive: SetReader, sets: Sequence[SetRow], alarms_h: Sequence[float]
 ) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
-    """Average the records of up to `TRACES` sets evenly spread over the hours, first and last included.
+    """Average the records of up to `TRACES` sets evenly spread over the hours, and of those that alarmed.
 
     Returns the traces by position, and a sentence for each set that cannot be read.
     """
@@ -229,7 +252,7 @@ def _average_selected_sets(
     hour_of = {row.set_index: row.due_h for row in sets}
     stored = sorted(files)
     hours = np.array([hour_of[index] for index in stored])
-    wanted = np.linspace(hours[0], hours[-1], TRACES) if stored else np.empty(0)
+    wanted = (*np.linspace(hours[0], hours[-1], TRACES), *alarms_h) if stored else ()
     chosen = sorted({stored[int(np.argmin(np.abs(hours - hour)))] for hour in wanted})
     traces: dict[str, list[Trace]] = {}
     trouble = []
