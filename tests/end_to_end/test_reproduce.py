@@ -196,7 +196,7 @@ def test_the_equations_computed_again_agree(whole):
     assert len(differences) == 3
     # Two ways of the same five-dimensional inverse: rounding times the condition of the correlation.
     assert max(differences) < 1e-6
-    lags = [float(x) for x in re.findall(r"its lag lies within ([\d.]+) us", report)]
+    lags = [float(x) for x in re.findall(r"its lag agrees within ([\d.]+) µs", report)]
     assert len(lags) == 3
     # Mean of lags against the lag of the mean record, and a 10-us smoothing that skews: within 1 %.
     assert max(lags) < 3.3

@@ -50,10 +50,18 @@ def draw_outlier_figure(material: item.Material) -> item.Product:
             "detections": _make_detection_table(test),
         },
         found=_compute_outlier_values(test),
-        notes=tuple(
-            f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
-            for name, pulses in test.pulses.items()
-            if pulses.baseline is not None
+        notes=(
+            *(
+                f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
+                for name, pulses in test.pulses.items()
+                if pulses.baseline is not None
+            ),
+            *(
+                f"{name}: {kind.replace('_', ' ')} detected at hour {hour_h:g}, "
+                f"{test.describe_true_loss(name, hour_h)}."
+                for name, series in {**test.pulses, **test.echoes}.items()
+                for kind, hour_h in series.alarms_h.items()
+            ),
         ),
     )
 
@@ -81,10 +89,10 @@ def _draw_distances(axis: Axes, test: Evidence, pulses: Series, colour: str) -> 
     if pulses.first_alarm_h is not None:
         axis.axvline(pulses.first_alarm_h, color=style.PURPLE, lw=1.2, label="first alarm")
         truth = test.describe_true_loss(pulses.position, pulses.first_alarm_h)
-        at = (pulses.first_alarm_h, 0.98)
+        at = (pulses.first_alarm_h, 0.02)
         axis.annotate(
             truth, at, (2, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
-            rotation=90, va="top", fontsize=7,
+            rotation=90, va="bottom", fontsize=6,
         )  # fmt: skip
     axis.set_yscale("log")
 

@@ -6,7 +6,7 @@ are the folder's own; missing data stay empty, and the figures state that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -114,7 +114,9 @@ class Evidence:
     seed
         Of the twin; None for a real specimen.
     traces
-        By position: `TRACES` sets or fewer, and those that raised an alarm.
+        By position: `TRACES` sets or fewer.
+    at_alarms
+        By position: the sets that raised an alarm at any.
     trouble
         What could not be read, each a sentence.
     """
@@ -130,6 +132,7 @@ class Evidence:
     pulses: Mapping[str, Series]
     echoes: Mapping[str, Series]
     traces: Mapping[str, Sequence[Trace]]
+    at_alarms: Mapping[str, Sequence[Trace]] = field(default_factory=dict)
     trouble: tuple[str, ...] = ()
 
     @property
@@ -139,8 +142,8 @@ class Evidence:
         return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
 
     def find_true_loss(self, position: str, hour_h: float) -> float | None:
-        """Return the wall loss in m that the twin knows at a set of `traces`; None if it is not known."""
-        for trace in self.traces.get(position, ()):
+        """Return the wall loss in m that the twin knows at a set that alarmed; None if it is not known."""
+        for trace in self.at_alarms.get(position, ()):
             if trace.hour_h == hour_h and "depth_fraction" in trace.truth:
                 return trace.truth["depth_fraction"] * self.pulses[position].settings.plate.thickness_m
             if trace.hour_h == hour_h and "thickness_m" in trace.truth:
@@ -189,10 +192,12 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    alarms_h = [hour_h for one in series for hour_h in one.alarms_h.values()]
-    traces, trouble = (
-        _average_selected_sets(FolderSetReader(folder), sets, alarms_h) if with_traces else ({}, ())
-    )
+    archive = FolderSetReader(folder)
+    hours = [row.due_h for row in sets if row.file is not None] if with_traces else []
+    alarms_h = [hour_h for one in series for hour_h in one.alarms_h.values()] if hours else []
+    spread_h = np.linspace(min(hours), max(hours), TRACES) if hours else ()
+    traces, trouble = _average_selected_sets(archive, sets, spread_h)
+    at_alarms, _ = _average_selected_sets(archive, sets, alarms_h)
     return Evidence(
         folder=folder,
         name=row.name,
@@ -205,6 +210,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         pulses={one.position: one for one in series if one.settings.method == SOLITARY_WAVE},
         echoes={one.position: one for one in series if one.settings.method == PULSE_ECHO},
         traces=traces,
+        at_alarms=at_alarms,
         trouble=trouble,
     )
 
@@ -242,9 +248,9 @@ def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
 
 
 def _average_selected_sets(
-    archive: SetReader, sets: Sequence[SetRow], alarms_h: Sequence[float]
+    archive: SetReader, sets: Sequence[SetRow], at_h: Iterable[float]
 ) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
-    """Average the records of up to `TRACES` sets evenly spread over the hours, and of those that alarmed.
+    """Average the records of the sets next to the hours ``at_h``, each once.
 
     Returns the traces by position, and a sentence for each set that cannot be read.
     """
@@ -252,8 +258,7 @@ def _average_selected_sets(
     hour_of = {row.set_index: row.due_h for row in sets}
     stored = sorted(files)
     hours = np.array([hour_of[index] for index in stored])
-    wanted = (*np.linspace(hours[0], hours[-1], TRACES), *alarms_h) if stored else ()
-    chosen = sorted({stored[int(np.argmin(np.abs(hours - hour)))] for hour in wanted})
+    chosen = sorted({stored[int(np.argmin(np.abs(hours - hour)))] for hour in at_h})
     traces: dict[str, list[Trace]] = {}
     trouble = []
     for index in chosen:

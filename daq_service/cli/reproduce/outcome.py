@@ -39,7 +39,7 @@ class Section:
     png
         The figure; empty where there is none.
     table
-        Shown in full.
+        Shown in full where there is no figure.
     numbers
         Ours by name, those of `rows` among them.
     trouble
@@ -182,31 +182,35 @@ def print_result(result: Mapping[str, Any]) -> None:
     """Print the result of `write_outcome` on standard output: comparison table, slips, seed, versions."""
     rows = result["comparison"]
     if rows:
-        click.echo(
+        _print_line(
             f"{'':<8}{'quantity':<69}{'kind':<12}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  "
             f"{'agrees':<26}  cause"
         )
     for row in rows:
         unit = "" if row["unit"] == "1" else row["unit"]
-        # A terminal of any code page shows it.
-        paper = row["paper_shown"].replace("±", "+-")
         cause = row["cause"] if row["ours"] is not None else row["ours_words"]
-        click.echo(
-            f"{row['item']:<8}{row['text']:<69}{row['kind']:<12}{paper:>26}{row['ours_shown']:>15}  {unit:<5}"
-            f"{row['deviation_shown']:>15}  {AGREEMENTS.get(row['agreement'], ''):<26}  {cause}".rstrip()
+        agreement = AGREEMENTS.get(row["agreement"], "")
+        _print_line(
+            f"{row['item']:<8}{row['text']:<69}{row['kind']:<12}{row['paper_shown']:>26}{row['ours_shown']:>15}"
+            f"  {unit:<5}{row['deviation_shown']:>15}  {agreement:<26}  {cause}".rstrip()
         )
     for slip in result["slips"]:
-        click.echo(
+        _print_line(
             f"slip, {slip['where']}: printed: {slip['printed']}. Right: {slip['right']}. {slip['finding']}."
         )
     versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
     for claim in result["claims"]:
         agreeing = f"{claim['n_agreeing']} of {claim['n_compared']}"
-        click.echo(f"{claim['result']:<19}{agreeing:>9} predictions agree  {claim['claim']}")
+        _print_line(f"{claim['result']:<19}{agreeing:>9} predictions agree  {claim['claim']}")
     if rows:
-        click.echo(describe_counts(result["tally"]))
-    click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
-    click.echo(f"{versions}; {result['machine']}")
+        _print_line(describe_counts(result["tally"]))
+    _print_line(f"seed {result['seed']}, configuration {result['configuration_hash']}")
+    _print_line(f"{versions}; {result['machine']}")
     if result["missing"]:
-        click.echo(f"not made: {', '.join(result['missing'])}")
-    click.echo(f"{result['report']} in {result['elapsed_s']:.1f} s")
+        _print_line(f"not made: {', '.join(result['missing'])}")
+    _print_line(f"{result['report']} in {result['elapsed_s']:.1f} s")
+
+
+def _print_line(text: str) -> None:
+    """Print a line with letters that a terminal of any code page shows."""
+    click.echo(text.replace("±", "+-").replace("µ", "u"))
