@@ -159,7 +159,7 @@ def test_every_value_of_the_paper_has_a_row_and_a_short_test_lists_missing_ones(
             assert row["ours_shown"] == NOT_AVAILABLE
             assert len(row["ours_words"]) > 15, row
         assert "does not give it" not in row["ours_words"], row
-    assert "no set was judged after hour 100" in rows["fig14", "outliers_paper_B"]["ours_words"]
+    assert "no set was assessed after hour 100" in rows["fig14", "outliers_paper_B"]["ours_words"]
     assert "no reading near hour 300" in rows["fig15", "thickness_300"]["ours_words"]
     # What 12 h do have.
     assert rows["fig14", "limit_text_B"]["ours"] > 0.0

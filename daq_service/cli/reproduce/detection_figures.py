@@ -126,7 +126,7 @@ def _describe_outliers(pulses: Series) -> str:
     for limit, outlier in (("mean + 3 SD", "outlier_mean_3sd"), ("the exact limit", "outlier")):
         share, n = _outlier_percentage(pulses, outlier, SPLIT_H)
         parts.append(
-            f"no set judged after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
+            f"no set assessed after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
         )
     return " and ".join(dict.fromkeys(parts))
 
@@ -161,7 +161,7 @@ def _compute_outlier_values(test: Evidence) -> dict[str, item.Found]:
             ("outliers_late", "outlier_mean_3sd", LATE_H),
         ):
             share, n = _outlier_percentage(pulses, outlier, from_h)
-            reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
+            reason = f"no set was assessed after hour {from_h:g} (last: {test.last_h:g})"
             values[f"{key}_{name}"] = item.make_value(share, f"of {n} sets", reason=reason)
     return values
 
@@ -305,7 +305,7 @@ def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | N
     last = thickness_m[np.isfinite(thickness_m)][-1:]
     read = f"; the probe then reads {1e3 * float(last[0]):.2f} mm" if last.size else ""
     values["core"] = (
-        item.no_value(f"nobody cored this test's plate{read}")
+        item.no_value(f"the plate of this test was not cored{read}")
         if truth is None
         else item.make_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )

@@ -182,7 +182,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     except NoDataYetError as error:
         raise StorageError(
             describe_loss(folder)
-            or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
+            or f"{folder} holds no started test; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
     except ValidationError as error:

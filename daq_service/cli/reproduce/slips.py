@@ -26,7 +26,7 @@ _PLATE, _PATCH = PlateParameters(), CorrosionParameters()
 _FREE = replace(_SPHERE, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0, gravity_m_per_s2=0.0)
 _WALL, _THIN = PlateParameters(model="rigid_wall"), PlateParameters(model="infinite_kirchhoff")
 _WATER = LiquidParameters(depth_m=0.3)
-"""About half the plate's height (half immersed); beyond some centimetres it no longer matters."""
+"""About half the plate's height (half immersed); more than some centimeters change nothing."""
 _Numbers = Mapping[str, object]
 
 

@@ -38,7 +38,7 @@ def _compute_loss_at_d(material: Material) -> Found:
     """Return the wall loss at D in % from the last truth of the twin; without one, the reason."""
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
-        return no_value("nobody measured the wall at D")
+        return no_value("the wall at D was not measured")
     return make_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
 
 
