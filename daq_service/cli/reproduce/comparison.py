@@ -36,7 +36,7 @@ class Row:
     agreement
         Of a prediction: the first of `AGREEMENTS` that applies; empty for other kinds.
     cause
-        Why they differ; empty where they agree to rounding, unless the twin was given the value.
+        Why they differ, or who gave the twin the value; empty where that is not known.
     """
 
     item: str
@@ -97,9 +97,6 @@ def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
     ``origin`` as in `compare_item`.
     """
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
-    is_explained = ours.value is not None and (
-        value.kind == "given" or deviation is None or not _is_rounding_only(deviation, value.value)
-    )
     return Row(
         item=value.item,
         quantity=value.quantity,
@@ -115,7 +112,7 @@ def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
         deviation=deviation,
         deviation_percent=100.0 * deviation / value.value if deviation is not None and value.value else None,
         agreement=_assess_agreement(value, ours.value) if value.kind == "predicted" else "",
-        cause=find_deviation_cause(value, origin=origin) if is_explained else "",
+        cause="" if ours.value is None else find_deviation_cause(value, origin=origin),
     )
 
 

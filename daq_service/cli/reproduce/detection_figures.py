@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -50,18 +48,10 @@ def draw_outlier_figure(material: item.Material) -> item.Product:
             "detections": _make_detection_table(test),
         },
         found=_compute_outlier_values(test),
-        notes=(
-            *(
-                f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
-                for name, pulses in test.pulses.items()
-                if pulses.baseline is not None
-            ),
-            *(
-                f"{name}: {kind.replace('_', ' ')} detected at hour {hour_h:g}, "
-                f"{test.describe_true_loss(name, hour_h)}."
-                for name, series in {**test.pulses, **test.echoes}.items()
-                for kind, hour_h in series.alarms_h.items()
-            ),
+        notes=tuple(
+            f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
+            for name, pulses in test.pulses.items()
+            if pulses.baseline is not None
         ),
     )
 
@@ -88,23 +78,19 @@ def _draw_distances(axis: Axes, test: Evidence, pulses: Series, colour: str) -> 
             axis.axhline(value, color=style.GREY, lw=1.2, ls=dash, label=f"paper's limit, {source}")
     if pulses.first_alarm_h is not None:
         axis.axvline(pulses.first_alarm_h, color=style.PURPLE, lw=1.2, label="first alarm")
-        truth = test.describe_true_loss(pulses.position, pulses.first_alarm_h)
-        at = (pulses.first_alarm_h, 0.02)
-        axis.annotate(
-            truth, at, (2, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
-            rotation=90, va="bottom", fontsize=6,
-        )  # fmt: skip
+        truth, to_axis = test.describe_true_loss(pulses.position), axis.get_xaxis_transform()
+        axis.text(pulses.first_alarm_h, 0.02, truth, transform=to_axis, rotation=90, va="bottom", fontsize=6)
     axis.set_yscale("log")
 
 
 def _make_detection_table(test: Evidence) -> item.Table:
-    """Build a table of the first alarm of each kind at each position, with the twin's true wall loss then."""
+    """Build a table of the first alarm of each kind at each position, with the true wall loss."""
     rows = [
-        (name, kind.replace("_", " "), hour_h, test.find_true_loss(name, hour_h))
+        (name, kind.replace("_", " "), hour_h, test.find_true_loss_mm(name, hour_h))
         for name, series in {**test.pulses, **test.echoes}.items()
         for kind, hour_h in series.alarms_h.items()
     ]
-    names = ("position", "alarm", "raised_h", "true_wall_loss_m")
+    names = ("position", "alarm", "detected_h", "true_wall_loss_mm")
     return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
 
 
@@ -181,10 +167,8 @@ def _find_loss_at_first_alarm(test: Evidence) -> item.Found:
     loss_m = _median_near(probe, "thickness_loss_m", hour)
     if loss_m is None:
         return item.no_value(f"no ultrasonic reading near hour {hour:g}")
-    truth = f"{name}: {test.describe_true_loss(name, hour)}"
-    return item.make_value(
-        1e3 * loss_m, f"read at {probe.position} at the first alarm, hour {hour:g}; {truth}"
-    )
+    words = f"read at {probe.position} at hour {hour:g}, first alarm at {name}; "
+    return item.make_value(1e3 * loss_m, words + test.describe_true_loss(name))
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
@@ -294,10 +278,9 @@ def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | N
     truth, thickness_m = _read_true_thickness(test, probe.position), probe.values["thickness_m"]
     read_m = _median_near(probe, "thickness_m", READ_H)
     if read_m is not None:
-        true_mm = math.nan if truth is None else 1e3 * float(np.interp(READ_H, *truth))
-        values["true_300"] = item.make_value(true_mm, reason="the true wall is not known")
-        words = "" if truth is None else f"true wall {true_mm:.2f} mm"
-        values["thickness_300"] = item.make_value(1e3 * read_m, words)
+        if truth is not None:
+            values["true_300"] = item.make_value(1e3 * float(np.interp(READ_H, *truth)))
+        values["thickness_300"] = item.make_value(1e3 * read_m)
         values["loss_300"] = item.make_value(100.0 * (1.0 - read_m / initial_m))
     else:
         absent = item.no_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")

@@ -61,7 +61,7 @@ class Series:
     baseline
         Row of the catalogue; None before it is frozen, and of a probe.
     alarms_h
-        Hour of the first alarm about the wall by its kind, in order; empty where there is none.
+        Hour of the first alarm about the wall by its kind; empty where there is none.
     """
 
     position: str
@@ -141,19 +141,19 @@ class Evidence:
         series = (*self.pulses.values(), *self.echoes.values())
         return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
 
-    def find_true_loss(self, position: str, hour_h: float) -> float | None:
-        """Return the wall loss in m that the twin knows at a set that alarmed; None if it is not known."""
-        for trace in self.at_alarms.get(position, ()):
-            if trace.hour_h == hour_h and "depth_fraction" in trace.truth:
-                return trace.truth["depth_fraction"] * self.pulses[position].settings.plate.thickness_m
-            if trace.hour_h == hour_h and "thickness_m" in trace.truth:
-                return self.settings.ultrasound.initial_thickness_m - trace.truth["thickness_m"]
+    def find_true_loss_mm(self, position: str, hour_h: float) -> float | None:
+        """Return the wall loss that the twin knows at the set of an alarm, in mm; None if it is not known."""
+        truth = next((one.truth for one in self.at_alarms.get(position, ()) if one.hour_h == hour_h), {})
+        if "depth_fraction" in truth:
+            return 1e3 * truth["depth_fraction"] * self.pulses[position].settings.plate.thickness_m
+        if "thickness_m" in truth:
+            return 1e3 * (self.settings.ultrasound.initial_thickness_m - truth["thickness_m"])
         return None
 
-    def describe_true_loss(self, position: str, hour_h: float) -> str:
-        """Describe the wall loss of `find_true_loss` in words."""
-        loss_m = self.find_true_loss(position, hour_h)
-        return "true wall loss not known" if loss_m is None else f"true wall loss {1e3 * loss_m:.2f} mm"
+    def describe_true_loss(self, position: str) -> str:
+        """Describe the wall loss that the twin knows at the first alarm of a transducer in words."""
+        loss_mm = self.find_true_loss_mm(position, self.pulses[position].first_alarm_h or 0.0)
+        return f"true wall loss {'not known' if loss_mm is None else f'{loss_mm:.2f} mm'}"
 
 
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
@@ -182,7 +182,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     except NoDataYetError as error:
         raise StorageError(
             describe_loss(folder)
-            or f"{folder} holds no started test; give --from the data folder of one (it has a file "
+            or f"{folder} holds no test; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
     except ValidationError as error:
@@ -192,12 +192,12 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    archive = FolderSetReader(folder)
-    hours = [row.due_h for row in sets if row.file is not None] if with_traces else []
-    alarms_h = [hour_h for one in series for hour_h in one.alarms_h.values()] if hours else []
-    spread_h = np.linspace(min(hours), max(hours), TRACES) if hours else ()
-    traces, trouble = _average_selected_sets(archive, sets, spread_h)
-    at_alarms, _ = _average_selected_sets(archive, sets, alarms_h)
+    stored = [row for row in sets if row.file is not None] if with_traces else []
+    hours = [row.due_h for row in sets]
+    archive, spread_h = FolderSetReader(folder), np.linspace(min(hours), max(hours), TRACES)
+    traces, trouble = _average_selected_sets(archive, stored, spread_h)
+    alarms_h = [hour_h for one in series for hour_h in one.alarms_h.values()]
+    at_alarms, _ = _average_selected_sets(archive, stored, alarms_h)
     return Evidence(
         folder=folder,
         name=row.name,
@@ -227,10 +227,7 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
             of_set = dict(zip(assessments["set_index"], assessments[name], strict=True))
             columns[name] = [of_set.get(index) for index in found["set_index"]]
     columns |= {name: found[name] for name in found if name not in ("set_index", "due_h")}
-    alarms_h = dict[str, float]()
-    for row in sorted(catalogue.rows(AlarmRow, position=position), key=lambda row: row.raised_h):
-        if row.alarm_class == "damage":
-            alarms_h.setdefault(row.kind, row.raised_h)
+    alarms = sorted(catalogue.rows(AlarmRow, position=position), key=lambda row: -row.raised_h)
     return Series(
         position=position,
         settings=settings,
@@ -238,7 +235,7 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
         hour_h=_to_float_array(found["due_h"]),
         values={name: _to_float_array(values) for name, values in columns.items()},
         baseline=catalogue.baseline(position),
-        alarms_h=alarms_h,
+        alarms_h={row.kind: row.raised_h for row in alarms if row.alarm_class == "damage"},
     )
 
 
@@ -254,18 +251,15 @@ def _average_selected_sets(
 
     Returns the traces by position, and a sentence for each set that cannot be read.
     """
-    files = {row.set_index: SetReference(row.file) for row in sets if row.file is not None}
-    hour_of = {row.set_index: row.due_h for row in sets}
-    stored = sorted(files)
-    hours = np.array([hour_of[index] for index in stored])
-    chosen = sorted({stored[int(np.argmin(np.abs(hours - hour)))] for hour in at_h})
+    hours = np.array([row.due_h for row in sets])
+    chosen = {int(np.argmin(np.abs(hours - hour))) for hour in at_h} if sets else ()
     traces: dict[str, list[Trace]] = {}
     trouble = []
-    for index in chosen:
+    for row in (sets[index] for index in sorted(chosen)):
         try:
-            record = archive.read_set(files[index], skip_damaged=True)
+            record = archive.read_set(SetReference(str(row.file)), skip_damaged=True)
         except ArchiveError as error:
-            trouble.append(f"set {index} is left out of the waveforms: {error}")
+            trouble.append(f"set {row.set_index} is left out of the waveforms: {error}")
             continue
         for position in (place.position for place in record.positions):
             trace = _average_records(record, position)

@@ -101,8 +101,7 @@ def draw_impact_figure(material: item.Material) -> item.Product:
         found={
             "e_case_3": item.make_value(case_3["e_eq8"][0], "eq. 8"),
             "tau_c_case_3": item.make_value(case_3["tau_c_eq8"][0], "eq. 8"),
-            "e_eq10": item.make_value(case_3["e_eq10"][0]),
-            "tau_c_eq12": item.make_value(case_3["tau_c_eq12"][0]),
+            **{name: item.make_value(values[0]) for name, values in case_3.items()},
         },
         notes=(
             (
@@ -138,12 +137,8 @@ def _build_zener_job(*, closed_form: bool) -> item.Job:
 _ISW_CURVES = {
     "sphere": _Curve("coupled model, sensor a sphere (paper)", style.SKY, "-", _build_isw_job(_SPHERE)),
     "disk": _Curve("coupled model, sensor two disks (rig)", style.BLUE, "-", _build_isw_job(_DISK)),
-    "sphere_gamma": _Curve(
-        "sphere, gamma 1,000 N s/m at the plate", style.ORANGE, "-", _build_isw_job(_STRONG_SPHERE)
-    ),
-    "disk_gamma": _Curve(
-        "disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _build_isw_job(_STRONG_DISK)
-    ),
+    "sphere_gamma": _Curve("sphere, gamma 1,000 N s/m", style.ORANGE, "-", _build_isw_job(_STRONG_SPHERE)),
+    "disk_gamma": _Curve("disks, gamma 1,000 N s/m", style.VERMILLION, "-", _build_isw_job(_STRONG_DISK)),
     "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _build_zener_job(closed_form=False)),
     "zener_closed": _Curve("Zener, eqs 10 and 12", style.PURPLE, ":", _build_zener_job(closed_form=True)),
 }

@@ -20,7 +20,7 @@ from daq_service.cli.reproduce.diagnosis import fill_numbers
 from daq_service.cli.reproduce.evidence import Evidence
 from daq_service.cli.reproduce.item import Item, Table
 from daq_service.cli.reproduce.output import RECORD, REPORT
-from daq_service.cli.reproduce.summary import assess_claims, count_values, describe_counts
+from daq_service.cli.reproduce.summary import assess_claims, count_values
 from daq_service.recording.provenance import PACKAGES
 from daq_service.shared_file import write_output
 from daq_service.web.templates import render_template
@@ -39,7 +39,7 @@ class Section:
     png
         The figure; empty where there is none.
     table
-        Shown in full where there is no figure.
+        Shown in full.
     numbers
         Ours by name, those of `rows` among them.
     trouble
@@ -179,38 +179,17 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
 
 
 def print_result(result: Mapping[str, Any]) -> None:
-    """Print the result of `write_outcome` on standard output: comparison table, slips, seed, versions."""
-    rows = result["comparison"]
-    if rows:
-        _print_line(
-            f"{'':<8}{'quantity':<69}{'kind':<12}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  "
-            f"{'agrees':<26}  cause"
-        )
-    for row in rows:
-        unit = "" if row["unit"] == "1" else row["unit"]
-        cause = row["cause"] if row["ours"] is not None else row["ours_words"]
-        agreement = AGREEMENTS.get(row["agreement"], "")
-        _print_line(
-            f"{row['item']:<8}{row['text']:<69}{row['kind']:<12}{row['paper_shown']:>26}{row['ours_shown']:>15}"
-            f"  {unit:<5}{row['deviation_shown']:>15}  {agreement:<26}  {cause}".rstrip()
-        )
-    for slip in result["slips"]:
-        _print_line(
-            f"slip, {slip['where']}: printed: {slip['printed']}. Right: {slip['right']}. {slip['finding']}."
-        )
-    versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
+    """Print the summary of `write_outcome` on standard output: claims, counts, seed, versions."""
     for claim in result["claims"]:
-        agreeing = f"{claim['n_agreeing']} of {claim['n_compared']}"
-        _print_line(f"{claim['result']:<19}{agreeing:>9} predictions agree  {claim['claim']}")
-    if rows:
-        _print_line(describe_counts(result["tally"]))
-    _print_line(f"seed {result['seed']}, configuration {result['configuration_hash']}")
-    _print_line(f"{versions}; {result['machine']}")
+        agreeing = f"{claim['n_agreeing']} of {claim['n_compared']} predictions agree"
+        # A terminal of any code page shows it.
+        click.echo(f"{claim['result']:<19} {agreeing:<28} {claim['claim'].replace('µ', 'u')}")
+    for name, texts in (("kinds", {}), ("predictions", AGREEMENTS)):
+        counts = result["tally"][name].items()
+        click.echo(f"{name}: {', '.join(f'{n} {texts.get(key, key)}' for key, n in counts)}")
+    versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
+    click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
+    click.echo(f"{versions}; {result['machine']}")
     if result["missing"]:
-        _print_line(f"not made: {', '.join(result['missing'])}")
-    _print_line(f"{result['report']} in {result['elapsed_s']:.1f} s")
-
-
-def _print_line(text: str) -> None:
-    """Print a line with letters that a terminal of any code page shows."""
-    click.echo(text.replace("±", "+-").replace("µ", "u"))
+        click.echo(f"not made: {', '.join(result['missing'])}")
+    click.echo(f"{result['report']} in {result['elapsed_s']:.1f} s")

@@ -255,7 +255,7 @@ def _write_item(
         item=item,
         files=tuple(contents),
         png=pictures.get("png", b""),
-        table=product.tables.get("") if product.drawing is None else None,
+        table=product.tables.get("" if product.drawing is None else "detections"),
         numbers={name: one.value for name, one in product.found.items() if one.value is not None},
         rows=compare_item(item.name, product.found, origin=origin),
         notes=product.notes,

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypedDict, get_args
+from typing import get_args
 
 from daq_service.cli.reproduce.comparison import AGREEMENTS, Row
 from daq_service.cli.reproduce.paper_values import Kind
 from daq_service.cli.reproduce.texts import TEXTS, find_remark
 
-KINDS: Sequence[Kind] = get_args(Kind)
 RESULTS = ("reproduced", "reproduced in part", "not reproduced", "not tested")
 
 
@@ -43,22 +42,12 @@ class ClaimResult:
     quantities: Sequence[str]
 
 
-class Counts(TypedDict):
-    """The paper's values, those of each kind, and the predictions by their agreement."""
-
-    values: int
-    kinds: dict[str, int]
-    predictions: dict[str, int]
-
-
-def count_values(rows: Sequence[Row]) -> Counts:
-    """Count the paper's values by kind, and the predictions among them by agreement."""
-    kinds = Counter(row.kind for row in rows)
-    agreements = Counter(row.agreement for row in rows if row.kind == "predicted")
+def count_values(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
+    """Count the paper's values by kind (``kinds``), and the predictions by agreement (``predictions``)."""
+    counts = Counter([*(row.kind for row in rows), *(row.agreement for row in rows)])
     return {
-        "values": len(rows),
-        "kinds": {kind: kinds[kind] for kind in KINDS},
-        "predictions": {name: agreements[name] for name in AGREEMENTS},
+        "kinds": {kind: counts[kind] for kind in get_args(Kind)},
+        "predictions": {name: counts[name] for name in AGREEMENTS},
     }
 
 
@@ -77,24 +66,16 @@ def assess_claims(rows: Sequence[Row]) -> list[ClaimResult]:
 
 def _assess_claim(claim: str, rows: Sequence[Row]) -> ClaimResult:
     """Assess one claim by its predictions."""
-    compared = [row for row in rows if row.deviation_percent is not None]
-    agreeing = [row.agreement for row in compared if row.agreement != "outside"]
-    deviations = [row.deviation_percent for row in compared if row.deviation_percent is not None]
-    is_all = len(agreeing) == len(compared)
+    deviations = [row.deviation_percent for row in rows if row.deviation_percent is not None]
+    agreeing = [row.agreement for row in rows if row.agreement in list(AGREEMENTS)[:-3]]
+    n, n_compared = len(agreeing), len(deviations)
     return ClaimResult(
         claim=claim,
-        result=RESULTS[3 if not compared else 0 if is_all else 1 if agreeing else 2],
+        result=RESULTS[3 if not n_compared else 0 if n == n_compared else 1 if n else 2],
         agreement=max(agreeing, key=list(AGREEMENTS).index, default=""),
-        n_agreeing=len(agreeing),
-        n_compared=len(compared),
+        n_agreeing=n,
+        n_compared=n_compared,
         deviation_percent=(min(deviations), max(deviations)) if deviations else None,
         items=list(dict.fromkeys(row.item for row in rows)),
         quantities=[row.quantity for row in rows],
     )
-
-
-def describe_counts(counts: Counts) -> str:
-    """Describe the counts of `count_values` in two sentences."""
-    kinds = ", ".join(f"{n} {kind}" for kind, n in counts["kinds"].items())
-    agreements = ", ".join(f"{n} {AGREEMENTS[name]}" for name, n in counts["predictions"].items())
-    return f"{counts['values']} values of the paper: {kinds}. Agreement of the predictions: {agreements}."

@@ -145,7 +145,7 @@ def _find_first_alarm_hour(test: Evidence, position: str) -> item.Found:
     rule = test.settings.alarms
     by_chart = rule.decides_by == "chart"
     rule_text = "control chart" if by_chart else f"{rule.k} of {rule.n} sets above the limit"
-    return item.make_value(hour, f"first alarm ({rule_text}), {test.describe_true_loss(position, hour)}")
+    return item.make_value(hour, f"first alarm ({rule_text}), {test.describe_true_loss(position)}")
 
 
 FIG7 = item.Item(name="fig7", make=draw_waveform_figure, needs_test=True)
