@@ -403,7 +403,8 @@ def test_the_true_wall_is_next_to_each_detection(executor, tmp_path):
         assert float(detections["detected_h"][k]) == row.raised_h
         assert detections["alarm"][k] == row.kind.replace("_", " ")
         assert float(detections["true_wall_loss_mm"][k]) == pytest.approx(loss_mm[row.position], abs=1e-6)
-        assert f"<td>{row.raised_h:.4g}</td> <td>{loss_mm[row.position]:.4g}</td>" in page
+        name, true_mm = row.kind.replace("_", " "), loss_mm[row.position]
+        assert f"<td>{row.raised_h:g}</td> <td>{name}</td> <td>{true_mm:.4g}</td>" in page
     (change,) = [row for row in result["comparison"] if row["quantity"] == "change_hour_B"]
     assert change["ours_words"].endswith("true wall loss 6.03 mm")
     # A real specimen has no truth, and nothing is made up.

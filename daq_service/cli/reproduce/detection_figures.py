@@ -85,12 +85,13 @@ def _draw_distances(axis: Axes, test: Evidence, pulses: Series, colour: str) -> 
 
 def _make_detection_table(test: Evidence) -> item.Table:
     """Build a table of the first alarm of each kind at each position, with the true wall loss."""
-    rows = [
-        (name, kind.replace("_", " "), hour_h, test.find_true_loss_mm(name, hour_h))
+    found = [
+        (name, hour_h, kind.replace("_", " "), test.find_true_loss_mm(name, hour_h))
         for name, series in {**test.pulses, **test.echoes}.items()
         for kind, hour_h in series.alarms_h.items()
     ]
-    names = ("position", "alarm", "detected_h", "true_wall_loss_mm")
+    rows = sorted(found, key=lambda row: row[:2])
+    names = ("position", "detected_h", "alarm", "true_wall_loss_mm")
     return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
 
 
