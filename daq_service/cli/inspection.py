@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.schema import build_schema_with_kinds
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import PositionSettings, Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 
@@ -55,6 +57,8 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
     _print_receivers(settings.notifications)
+    for warning in find_calibration_warnings(settings.positions):
+        click.echo(f"WARNING: {warning}; calibrate the sensor, then correct the date", err=True)
     if facts["stored_bytes"] > facts["free_bytes"]:
         click.echo(
             "WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True
@@ -92,6 +96,16 @@ def _print_receivers(notifications: NotificationSettings) -> None:
             read_address(name, receiver)
         except UsageError as error:
             click.echo(f"WARNING: {error}", err=True)
+
+
+def find_calibration_warnings(positions: Mapping[str, PositionSettings]) -> list[str]:
+    """Return a text for each sensor whose external calibration is overdue today (UTC)."""
+    today = datetime.now(UTC).date()
+    return [
+        f"positions.{name}.calibration.due_on = {place.calibration.due_on} is over"
+        for name, place in positions.items()
+        if place.calibration.is_overdue(today)
+    ]
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 import pytest
 
+from daq_service.cli.doctor.command import run_checks
 from daq_service.cli.inspection import print_configuration
+from daq_service.settings.file import load_settings
 
 NEEDS = "it needs at least 15, 200 and more are advised"
 
@@ -31,3 +33,15 @@ def test_a_baseline_without_possible_assessments_causes_a_warning(tmp_path, caps
     assert f"baseline   {n_sets} sets planned for each transducer; {NEEDS}\n" in printed.out
     whole = f"WARNING: nothing would be judged: {warning}of each transducer; {NEEDS}, and sets behind it\n"
     assert printed.err == (whole if warning else "")
+
+
+@pytest.mark.parametrize(("due_on", "is_overdue"), [("2020-01-31", True), ("2999-01-31", False)])
+def test_an_overdue_calibration_causes_a_warning(tmp_path, capsys, due_on, is_overdue):
+    path, positions = tmp_path / "test.toml", '[positions.B]\nmethod = "solitary_wave"\n'
+    path.write_text(f"{positions}[positions.B.calibration]\ndue_on = {due_on}", encoding="utf-8")
+    print_configuration(config=path, data_dir=tmp_path / "data", schema=False, as_json=False)
+    warning = f"WARNING: positions.B.calibration.due_on = {due_on} is over; calibrate the sensor"
+    assert (warning in capsys.readouterr().err) is is_overdue
+    checks = run_checks(load_settings(path), tmp_path / "data", "", lambda step: None)
+    states = [check.state for check in checks if check.name == "sensors: calibration"]
+    assert states == ["warn" if is_overdue else "ok"]
