@@ -1,14 +1,63 @@
-"""The index of decisions lists every record once, and its rows lead to records."""
+"""Records of decisions have one form, one page and plain words; the index lists each of them once."""
 
 import re
 from pathlib import Path
 
+import pytest
+from support.plain_language import LINK, MOST_WORDS_PER_SENTENCE, REFUSED, count_words, split_sentences
+
 DECISIONS = Path(__file__).parents[2] / "docs/decisions"
+RECORDS = sorted(DECISIONS.glob("[0-9]*.md"))
+MOST_WORDS = 350
+SECTIONS = ["Context", "Decision", "Consequences"]
+SUCCESSORS = re.compile(r"(?:changed|extended)\b.*")
 
 
-def test_every_decision_has_its_row_in_the_index():
+def read_heading_and_status(path: Path) -> tuple[str, str]:
+    """Read the first line and the status of a record, without its marks of Markdown."""
+    heading, status, *_ = path.read_text(encoding="utf-8").split("\n\n")
+    return heading.removeprefix("# "), " ".join(status.split())
+
+
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.stem)
+def test_a_record_is_one_page_of_context_decision_and_consequences(path):
+    text = path.read_text(encoding="utf-8")
+    heading, status = read_heading_and_status(path)
+    assert heading.startswith(f"{int(path.name[:4])}. ")
+    assert re.match(r"Status: accepted[.;]", status)
+    assert re.findall(r"^#+ (.*)", text, flags=re.MULTILINE)[1:] == SECTIONS
+    assert all(section.strip() for section in re.split(r"^## .*", text, flags=re.MULTILINE))
+    assert count_words(text) <= MOST_WORDS
+
+
+@pytest.mark.parametrize("path", [*RECORDS, DECISIONS / "README.md"], ids=lambda path: path.stem)
+def test_a_page_is_in_short_sentences_of_plain_words(path):
+    sentences = split_sentences(path.read_text(encoding="utf-8"))
+    assert [found.group() for found in map(REFUSED.search, sentences) if found] == []
+    assert [each for each in sentences if count_words(each) > MOST_WORDS_PER_SENTENCE] == []
+
+
+def test_the_index_lists_every_record_once_with_its_title_and_successors():
     index = (DECISIONS / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| \[(\d+)\]\((\S+)\) \| \S.* \| accepted\b.*\|$", index, flags=re.MULTILINE)
-    records = sorted(path.name for path in DECISIONS.glob("[0-9]*.md"))
-    assert [name for _, name in rows] == records
-    assert all(int(number) == int(name[:4]) for number, name in rows)
+    rows = re.findall(
+        r"^\| \[(.+)\]\(([^)]+)\) \| \S.* \| accepted(?:; (.*))? \|$", index, flags=re.MULTILINE
+    )
+    assert sorted(name for _, name, _ in rows) == [path.name for path in RECORDS]
+    for title, name, successors in rows:
+        heading, status = read_heading_and_status(DECISIONS / name)
+        named = SUCCESSORS.search(status)
+        assert title == heading
+        assert LINK.findall(successors) == [
+            (text.removeprefix("decision "), target)
+            for text, target in LINK.findall(named.group() if named else "")
+        ]
+
+
+def test_links_of_records_lead_to_pages():
+    links = [
+        (path.name, target)
+        for path in [*RECORDS, DECISIONS / "README.md"]
+        for _, target in LINK.findall(path.read_text(encoding="utf-8"))
+    ]
+    assert len(links) > len(RECORDS)
+    assert [link for link in links if not (DECISIONS / link[1]).is_file()] == []

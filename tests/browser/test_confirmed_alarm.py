@@ -26,8 +26,9 @@ def test_an_alarm_leads_to_the_confirmation_set_that_suspicion_asked_for(line, o
         assert len(marks) == 2
         card = page.locator("[data-alarm]").filter(has_text="B: signal change").first
         expect(card).to_contain_text("probable contact change (model: ")
-        card.locator("summary", has_text="Proof").click()
-        expect(card).to_contain_text("Confirmed by the set of")
+        card.get_by_role("button", name="Evidence").click()
+        expect(page.locator("dialog.details")).to_contain_text("Confirmed by the set of")
+        page.keyboard.press("Escape")
         card.get_by_role("link", name=f"Open {NAME} of position B").click()
         panel = page.locator("solimon-set")
         expect(panel.get_by_role("heading", level=2)).to_contain_text(f"Position B · {NAME} · hour")

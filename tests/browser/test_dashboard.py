@@ -204,10 +204,9 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     alarms = page.locator("#alarms")
     expect(alarms).to_contain_text("No alarm has been raised")
     alarm_id = filled.add_alarm("B", N_SETS - 1)
-    expect(alarms).to_contain_text("B: signal change, cause undetermined. Distance squared 30.5, limit 24.3")
+    expect(alarms).to_contain_text("B: signal change, cause undetermined")
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
-    alarms.get_by_text("Proof", exact=True).click()
     alarms.get_by_role("button", name="Acknowledge:").click()
     acknowledging = alarms.locator('[data-focus^="ack-"]')
     expect(acknowledging).to_have_text(SENT)
@@ -216,7 +215,8 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
     expect(acknowledging).to_have_count(0)
-    # The evidence stays open, and a new set comes into its picture.
+    # A new set comes into the chart of the open evidence.
+    alarms.get_by_role("button", name="Evidence").click()
     last = f"document.getElementById('evidence-chart-{alarm_id}')?.snapshot()?.opens.at(-1)"
     until(lambda: page.evaluate(last) == N_SETS - 1, "the sets so far are drawn")
     filled.add_set(N_SETS, stored=False)
@@ -225,17 +225,17 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
 
 def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled, page = ordering
-    filled.add_alarm(None, N_SETS - 1, kind="clock_unverified", message="the system's clock says 2010")
+    filled.add_alarm(None, N_SETS - 1, kind="clock_unverified")
     alarms = page.locator("#alarms")
-    expect(alarms).to_contain_text("the system's clock says 2010")
-    alarms.get_by_role("button", name="The clock is right").click()
+    expect(alarms).to_contain_text("Computer clock unverified")
+    alarms.get_by_role("button", name="Trust clock").click()
     expect(alarms.get_by_role("button", name="Sent")).to_be_visible()
-    filled.add_alarm("B", N_SETS - 1, message="the list is drawn anew")
-    expect(alarms).to_contain_text("the list is drawn anew")
+    filled.add_alarm("B", N_SETS - 1)
+    expect(alarms).to_contain_text("B: signal change")
     expect(alarms.get_by_role("button", name="Sent")).to_be_disabled()
     answer(filled, "trust_clock", {"note": ""}, state="rejected", result="nobody doubts the system's clock")
     expect(page.locator("body")).to_contain_text("nobody doubts the system's clock")
-    expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
+    expect(alarms.get_by_role("button", name="Trust clock")).to_be_enabled()
 
 
 def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, open_page, monkeypatch):
@@ -244,7 +244,7 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
 
     def order():
         page.get_by_role("button", name="Skip to end").click()
-        page.get_by_role("button", name="Run to the end").click()
+        page.get_by_role("dialog").get_by_role("button", name="Skip to end").click()
 
     with monkeypatch.context() as late:
         late.setattr("daq_service.commands.deadline.remaining_now_s", lambda row: 0.0)
@@ -378,7 +378,7 @@ def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(h
 def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(tmp_path, open_page):
     with served(Settings(), tmp_path) as service:
         page = open_page(service.url)
-        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
+        expect(page.locator("#notice")).to_contain_text("Waiting for the first waveform")
         expect(page.locator("#connection")).to_have_text("Recorder not started")
         with hold_recorder_lock(tmp_path):
             Heartbeat(tmp_path, deadline_s=60.0).beat("preparing the twin: part 1 of 3, 7 s")

@@ -349,8 +349,8 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     assert limit == [LIMIT_CHART] * RENEWED + [None] * (count - RENEWED)
     card = page.locator("#baseline")
     card.locator("summary").press("Enter")
-    expect(card).to_contain_text(f"{count - RENEWED} of 48 so far ({RENEWED} to {RENEWED + 47})")
-    expect(card).to_contain_text(f"with the set of hour {hours[1]:.1f}")
+    expect(card).to_contain_text(f"{count - RENEWED} of 48 ({RENEWED} to {RENEWED + 47})")
+    expect(card).to_contain_text(f"Completehour {hours[1]:.1f}, ")
 
 
 def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):

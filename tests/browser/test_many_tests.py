@@ -57,11 +57,11 @@ def test_the_list_leads_to_a_test_and_the_test_back_by_keyboard_alone(service, o
     expect(cards).to_have_count(3)
     plate, twin, unplugged = (cards.nth(k) for k in range(3))
     expect(plate.locator(".chip").first).to_have_text("Alarm")
-    expect(plate.locator(".test-head")).to_contain_text("1 alarm, worst high")
+    expect(plate.locator(".test-head")).to_contain_text("1 alarm, highest priority high")
     expect(plate.locator(".tile-age")).to_contain_text(f"Set {N_SETS - 1} · hour")
     expect(plate.locator(".test-positions > li")).to_have_count(4)
     expect(twin.locator(".test-head")).to_contain_text("Test finished")
-    expect(unplugged).to_contain_text("Folder not there")
+    expect(unplugged).to_contain_text("Folder not found")
     expect(unplugged.locator(".test-remedy")).to_contain_text("Mount its disk")
     expect(unplugged.locator("a")).to_have_count(0)
     for key in ("Tab", "Enter", "Tab"):  # over the link that skips to the tests

@@ -21,10 +21,10 @@ def test_a_receiver_is_tried_by_keyboard_and_a_dead_one_is_a_warning(tmp_path, o
             page = open_page(service.url)
             card = page.locator("#notifications")
             expect(card).to_contain_text("Ready")
-            button = card.get_by_role("button", name="Send a trial to duty")
+            button = card.get_by_role("button", name="Send test message to duty")
             button.focus()
             page.keyboard.press("Enter")
-            expect(card).to_contain_text("The trial arrived after")
+            expect(card).to_contain_text("Test message accepted after")
             assert receiver.next().message["title"].startswith("TEST, no alarm")
             expect(button).to_be_focused()
             card.locator("summary").press("Enter")
@@ -33,8 +33,8 @@ def test_a_receiver_is_tried_by_keyboard_and_a_dead_one_is_a_warning(tmp_path, o
             state.failing_since_utc_ns = 1_700_000_000 * 10**9
             state.last_failure = "no answer within 15 s"
             page.reload()
-            expect(card).to_contain_text("Not reached for long")
-            expect(card).to_contain_text("no answer within 15 s. Nothing is lost")
+            expect(card).to_contain_text("Unreachable")
+            expect(card).to_contain_text("no answer within 15 s. Messages wait")
             for theme in ("light", "dark"):
                 page.emulate_media(color_scheme=theme)
                 found = Axe().run(page, "#notifications")

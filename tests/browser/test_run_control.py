@@ -69,16 +69,16 @@ def answered(filled, author="ann"):
     ("button", "consequences", "confirm", "order"),
     [
         (
-            "Stop the test",
-            ["nothing is recorded", "supply is switched off", "This page cannot take it back"],
-            "Stop the test",
+            "Stop test",
+            ["Later sets are missed", "supply is switched off", "This page cannot undo it"],
+            "Stop test",
             ("stop", {}),
         ),
         pytest.param(
             "Disable C",
             [
-                "Position C is not struck from its next shot on",
-                "No sets will come from it",
+                "Position C is not struck after its current shot",
+                "No sets come from it",
                 "press Enable next to its notice",
             ],
             "Disable C",
@@ -86,9 +86,14 @@ def answered(filled, author="ann"):
             marks=pytest.mark.slow,
         ),
         (
-            "Supply on, or its limits",
-            ["The wall corrodes", "never goes on again by itself", "At most 11 V and 2 A are allowed"],
-            "Switch on: 9 V, at most 1 A",
+            "Supply on or new limits",
+            [
+                "the wall corrodes",
+                "Ventilate the tank",
+                "never switches on again by itself",
+                "caps are 11 V and 2 A",
+            ],
+            "Switch on: 9 V, limit 1 A",
             ("supply_on", {"voltage_v": 9.0, "current_limit_a": 1.0, "note": ""}),
         ),
         pytest.param(
@@ -127,29 +132,30 @@ def test_a_command_states_its_consequence_and_needs_a_second_step(
 def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared):
     page = shared
     card, dialog = page.locator("#baseline"), page.get_by_role("dialog")
-    expect(card.locator("summary")).to_contain_text("Baseline of B Proposed: nobody has signed it")
+    expect(card.locator("summary")).to_contain_text("Baseline of B Awaiting approval")
     card.locator("summary").press("Enter")
     for text in (
         "47 of 0 to 47, 1 left out",
-        "34 independent sets (correlation from set to set 0.17)",
-        "sets 3, 4, 5 lie together, away from the others; a trend over the whole baseline",
+        "34 independent sets (lag-1 autocorrelation 0.17)",
+        "sets 3, 4, 5 form a separate group; a trend over the complete baseline",
         "not measured",
-        "0.2 a year by the chart, not promised: 47 sets cannot show slow memory",
+        "design rate 0.2 per transducer-year, not verified: 47 sets cannot show slow memory",
         "200 sets and more are advised",
+        "Approve this baseline, or renew it with more sets.",
         "B-baseline-1, retired by ben, 2024-01-01",
     ):
         expect(card).to_contain_text(text)
     assert [rule["id"] for rule in Axe().run(page, context="#baseline").response["violations"]] == []
-    card.get_by_role("button", name="Sign it").click()
+    card.get_by_role("button", name="Approve").click()
     expect(dialog).to_contain_text("healthy in sets 0 to 47")
-    dialog.get_by_role("button", name="Sign B-baseline-2").click()
+    dialog.get_by_role("button", name="Approve B-baseline-2").click()
     expect(card.get_by_role("button", name="Sent, expires")).to_be_visible()
     assert answered(filled) == ("approve_baseline", {"position": "B", "note": ""})
     # Or it would be taken for the next order's.
     expect(card.get_by_role("button", name="Sent, expires")).to_have_count(0)
-    renew = card.get_by_role("button", name="Begin another one")
+    renew = card.get_by_role("button", name="Renew baseline")
     renew.click()
-    expect(dialog).to_contain_text("until it is complete nothing judges the wall at B")
+    expect(dialog).to_contain_text("Until it is complete, the wall at B is not monitored")
     dialog.get_by_role("button", name="Retire B-baseline-2").click()
     expect(dialog).to_be_visible()
     assert filled.catalogue.list_open_commands() == [], "it needs a reason"
@@ -159,8 +165,8 @@ def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared)
     assert answered(filled) == ("renew_baseline", {"position": "B", "note": "a new sensor"})
     page.locator('#tiles [data-position="C"]').click()
     expect(card).to_contain_text("C-baseline-1")
-    expect(card).to_contain_text("3 of 48 so far (0 to 47)")
-    expect(card).to_contain_text("with the set of hour 24.0")
+    expect(card).to_contain_text("3 of 48 (0 to 47)")
+    expect(card).to_contain_text("hour 24.0")
 
 
 def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, service, open_page):
@@ -183,19 +189,19 @@ def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, servi
     expect(tile).to_contain_text("Not assessed")
     expect(tile).to_contain_text(why)
     tile.click()
-    expect(card.locator("summary")).to_contain_text("Baseline of D No limits: nothing is judged")
+    expect(card.locator("summary")).to_contain_text("Baseline of D No limits")
     card.locator("summary").press("Enter")
     expect(card).to_contain_text(why)
-    expect(card.get_by_role("button", name="Begin another one")).to_be_visible()
-    expect(card.get_by_role("button", name="Sign it")).to_have_count(0)
+    expect(card.get_by_role("button", name="Renew baseline")).to_be_visible()
+    expect(card.get_by_role("button", name="Approve")).to_have_count(0)
 
 
 def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(filled, shared):
     page = shared
-    page.get_by_role("button", name="Supply on, or its limits").click()
+    page.get_by_role("button", name="Supply on or new limits").click()
     dialog = page.get_by_role("dialog")
     dialog.get_by_label("Voltage in V").fill("12")
-    dialog.get_by_role("button", name="Switch on: 12 V, at most 1 A").click()
+    dialog.get_by_role("button", name="Switch on: 12 V, limit 1 A").click()
     expect(dialog).to_be_visible()
     assert filled.catalogue.list_open_commands() == []
     for scheme in ("light", "dark"):
@@ -204,7 +210,7 @@ def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(fille
         assert found.violations_count == 0, found.generate_report()
     dialog.get_by_label("Voltage in V").fill("5.5")
     dialog.get_by_label("Current limit in A").fill("0.25")
-    dialog.get_by_role("button", name="Switch on: 5.5 V, at most 0.25 A").click()
+    dialog.get_by_role("button", name="Switch on: 5.5 V, limit 0.25 A").click()
     expect(page.get_by_role("button", name="Sent, expires")).to_be_visible()
     assert answered(filled) == ("supply_on", {"voltage_v": 5.5, "current_limit_a": 0.25, "note": ""})
 
@@ -216,12 +222,10 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
         hold.click()
         dialog.get_by_label("Reason").fill("hands in the rig")
         page.keyboard.press("Enter")
-        expect(dialog).to_contain_text("marked as claimed")
+        expect(dialog).to_contain_text("as claimed")
         if name is None:
             page.keyboard.press("Escape")
-            expect(page.locator("#notice")).to_contain_text(
-                "a command bears the name of the person who gives it"
-            )
+            expect(page.locator("#notice")).to_contain_text("it needs the name of its author")
             assert filled.catalogue.list_open_commands() == []
         else:
             page.keyboard.type(name)
@@ -273,7 +277,7 @@ def test_nothing_is_shown_without_a_token_and_no_button_that_its_role_does_not_a
         expect(page.locator("#pause")).to_be_visible(visible=held)
         expect(page.locator("#alarms [data-alarm]")).to_have_count(1)
         expect(page.locator("#notes")).to_have_attribute("data-count", "0")
-        for order in ("Acknowledge:", "Shelve", "Add a note"):
+        for order in ("Acknowledge:", "Shelve", "Add note"):
             expect(page.get_by_role("button", name=order)).to_be_visible(visible=held)
         assert not any(buttons.nth(n).is_enabled() for n in range(6))
         expect(page.locator("#control-reason")).to_have_text(f"ann is {role}: this role does not allow it.")

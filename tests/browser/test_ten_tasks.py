@@ -138,7 +138,7 @@ def are_b_and_d_on_one_axis(page, api, filled):
 
 def is_shelved_for_eight_hours(page, api, filled):
     alarm = page.locator(f'[data-alarm="{OF_C}"]')
-    expect(alarm).to_contain_text("Shelved")
+    expect(alarm).to_contain_text("shelved until")
     shelved = api(f"/alarms/{OF_C}/history").json()["items"][-1]
     assert (shelved["suppressed"], shelved["author"], shelved["reason"]) == ("shelved", "ann", "known leak")
     ends = shelved["shelved_until_utc"]
@@ -148,7 +148,7 @@ def is_shelved_for_eight_hours(page, api, filled):
     expect(page.locator('#tiles [data-position="C"]')).to_contain_text("1 shelved or out of service, until")
 
 
-def is_who_held_it_yesterday(page, api, filled):
+def is_who_paused_it_yesterday(page, api, filled):
     midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
     day = {"from_utc": (midnight - timedelta(days=1)).isoformat(), "to_utc": midnight.isoformat()}
     (held,) = api(f"/audit?{urlencode({'what': 'pause', **day})}").json()["items"]

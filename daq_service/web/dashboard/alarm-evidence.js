@@ -1,4 +1,4 @@
-// Show the evidence of an alarm: the service's sentences, a chart of the sets around it, and the stored data.
+// Build the evidence of an alarm: the service's sentences, a chart of the sets around it, and the raw data.
 
 import { get, trend } from "./api.js";
 import { shownUnit } from "./charts/series.js";
@@ -97,8 +97,8 @@ KINDS.transducer_change = KINDS.wall_change;
 /** An alarm of a wall that the control chart raised. @type {typeof KINDS[string]} */
 const BY_CHART = {
   ...KINDS.wall_change,
-  name: "Chart",
-  short: "chart",
+  name: "Control chart (MEWMA)",
+  short: "control chart",
   source: { fields: ["mewma_statistic"], method: "solitary_wave" },
   read: trendReader(["mewma_statistic"], ({ mewma_statistic: chart }, k, { limit }) =>
     chart[k] === null ? null : chart[k] > limit,
@@ -139,37 +139,24 @@ export class AlarmEvidence {
     this.newest = -Infinity;
     /** Hours of the chart. @type {import("./charts/gestures.js").Span} */
     this.range = [0, Infinity];
-    const stored = el(
-      "details",
-      {},
-      el("summary", { text: "As stored", "data-focus": `stored-${alarm.id}` }),
-      this.raw,
-    );
-    this.root = /** @type {HTMLDetailsElement} */ (
-      el(
-        "details",
-        { class: "evidence-box" },
-        el("summary", { text: "Proof", "data-focus": `evidence-${alarm.id}` }),
-        this.sentences,
-        this.trouble,
-        this.sets,
-        stored,
-      )
-    );
-    this.root.addEventListener("toggle", () => void (this.root.open && this.read()));
+    const stored = el("details", {}, el("summary", { text: "Raw data" }), this.raw);
+    this.message = el("p");
+    this.root = el("div", { class: "evidence-box" }, this.message, this.sentences, this.trouble, this.sets, stored);
     this.update(alarm);
+    void this.read();
   }
 
   /** @param {any} alarm */
   update(alarm) {
     this.alarm = alarm;
+    setText(this.message, alarm.message);
     this.sentences.replaceChildren(...alarm.evidence_sentences.map((/** @type {string} */ text) => el("li", { text })));
     setText(this.raw, JSON.stringify(alarm.evidence, null, 1));
   }
 
-  /** Draw new sets that belong to an open chart. */
+  /** Draw new sets that belong to the chart. */
   renew() {
-    if (!this.root.open || this.alarm.position === null || this.newest > this.range[1]) return;
+    if (!this.root.isConnected || this.alarm.position === null || this.newest > this.range[1]) return;
     if ((this.host.trend(this.alarm.position)?.columns.due_h.at(-1) ?? this.newest) > this.newest) void this.read();
   }
 
@@ -211,7 +198,7 @@ export class AlarmEvidence {
     // A kind without a limit (hole) is only drawn.
     const subtitle = !evaluated.length
       ? `Position ${alarm.position}`
-      : `Position ${alarm.position}: ${exceeds} of the last ${evaluated.length} judged sets beyond the ` +
+      : `Position ${alarm.position}: ${exceeds} of the last ${evaluated.length} assessed sets outside the ` +
         "limit when the alarm was raised";
     const x = assessed.map((one) => one.hour);
     const sets = assessed.map((one) => one.set);
@@ -254,7 +241,7 @@ export class AlarmEvidence {
             {
               from_h: evaluated[0].hour - interval / 2,
               to_h: evaluated[evaluated.length - 1].hour + interval / 2,
-              label: `last ${evaluated.length} judged`,
+              label: `last ${evaluated.length} assessed`,
               tone: "warn",
             },
           ]
@@ -267,12 +254,8 @@ export class AlarmEvidence {
     this.sets.replaceChildren(
       ...evaluated.map((one) => {
         const value = `${kind.short} ${fixed(inUnit(one.value), kind.digits)}${unit ? ` ${unit}` : ""}`;
-        const text = `Set ${one.set}, hour ${hour(one.hour)}: ${value}${one.exceeds ? ", beyond the limit" : ""}`;
-        return el(
-          "li",
-          {},
-          setLink(alarm.position, one.set, text, { "data-focus": `assessed-${alarm.id}-${one.set}` }, host.open),
-        );
+        const text = `Set ${one.set}, hour ${hour(one.hour)}: ${value}${one.exceeds ? ", outside the limit" : ""}`;
+        return el("li", {}, setLink(alarm.position, one.set, text, {}, host.open));
       }),
     );
   }
@@ -287,7 +270,7 @@ export class AlarmEvidence {
       {
         title: `Sets around the alarm at ${this.alarm.position}, hour ${hour(this.alarm.raised_h)}: ${kind.short}`,
         log: kind.log,
-        empty: "None of these sets is stored",
+        empty: "These sets are not stored",
       },
       {
         ...this.host,

@@ -2,16 +2,14 @@
 
 import { el } from "./dom.js";
 
-/** @type {Record<string, [string, (alarm: any) => boolean]>} */
+/** @type {Record<string, [string, (alarm: any, changed: Set<number>) => boolean]>} */
 const STATES = {
   all: ["All states", () => true],
   active: ["Active", (alarm) => alarm.state !== "normal" && !alarm.suppressed],
-  waiting: [
-    "Not acknowledged",
-    (alarm) => alarm.state === "unacknowledged" || alarm.state === "returned_unacknowledged",
-  ],
+  waiting: ["Unacknowledged", (alarm) => alarm.state === "unacknowledged" || alarm.state === "returned_unacknowledged"],
   suppressed: ["Shelved or out of service", (alarm) => Boolean(alarm.suppressed)],
-  normal: ["Closed", (alarm) => alarm.state === "normal"],
+  visit: ["Since my last visit", (alarm, changed) => changed.has(alarm.id)],
+  normal: ["Returned to normal", (alarm) => alarm.state === "normal"],
 };
 const ALL = "";
 
@@ -32,7 +30,7 @@ export class AlarmFilter {
     };
     this.root = el(
       "div",
-      { class: "alarm-filter", role: "group", "aria-label": "Which alarms are listed" },
+      { class: "alarm-filter", role: "group", "aria-label": "Filter of the alarm list" },
       this.state,
       ...Object.values(this.by),
     );
@@ -42,7 +40,7 @@ export class AlarmFilter {
   /** Offer what there is. @param {any[]} alarms */
   offer(alarms) {
     const found = Object.fromEntries(
-      Object.keys(this.by).map((name) => [name, [...new Set(alarms.map((alarm) => alarm[name] ?? "Service"))].sort()]),
+      Object.keys(this.by).map((name) => [name, [...new Set(alarms.map((alarm) => alarm[name] ?? "System"))].sort()]),
     );
     if (JSON.stringify(found) === this.offered) return;
     this.offered = JSON.stringify(found);
@@ -51,7 +49,7 @@ export class AlarmFilter {
       select.replaceChildren(
         el("option", {
           value: ALL,
-          text: { priority: "Any priority", position: "Any position", kind: "Any kind" }[name] ?? name,
+          text: { priority: "Priority", position: "Position", kind: "Kind" }[name] ?? name,
         }),
         ...found[name].map((one) => el("option", { value: one, text: one.replaceAll("_", " ") })),
       );
@@ -59,11 +57,11 @@ export class AlarmFilter {
     }
   }
 
-  /** @param {any} alarm */
-  shows(alarm) {
+  /** @param {any} alarm @param {Set<number>} changed alarms with a change since the last visit */
+  shows(alarm, changed) {
     return (
-      STATES[this.state.value][1](alarm) &&
-      Object.entries(this.by).every(([name, { value }]) => value === ALL || (alarm[name] ?? "Service") === value)
+      STATES[this.state.value][1](alarm, changed) &&
+      Object.entries(this.by).every(([name, { value }]) => value === ALL || (alarm[name] ?? "System") === value)
     );
   }
 }

@@ -2,7 +2,7 @@
 
 import { askConfirmation } from "./control/confirm.js";
 import { isAllowed } from "./control/session.js";
-import { el } from "./dom.js";
+import { button, el } from "./dom.js";
 import { NONE, fixed, significant, utc } from "./format.js";
 import { chip } from "./icons.js";
 import { sendByButton } from "./commands.js";
@@ -10,18 +10,19 @@ import { sendByButton } from "./commands.js";
 /** @type {Record<string, import("./icons.js").Look>} */
 const STATES = {
   collecting: { label: "Collecting", icon: "dots", tone: "info" },
-  unusable: { label: "No limits: nothing is judged", icon: "triangle", tone: "warn" },
-  proposed: { label: "Proposed: nobody has signed it", icon: "triangle", tone: "warn" },
+  unusable: { label: "No limits", icon: "triangle", tone: "warn" },
+  proposed: { label: "Awaiting approval", icon: "triangle", tone: "warn" },
   approved: { label: "Approved", icon: "check", tone: "good" },
+  not_reviewed: { label: "Not reviewed", icon: "dash", tone: "info" },
   retired: { label: "Retired", icon: "stop", tone: "" },
 };
-const NOTE = { name: "note", label: "Reason (everybody sees it)" };
+const NOTE = { name: "note", label: "Reason (visible to all)" };
 
 /** @type {Record<string, (sets: number[]) => string>} */
 const ANOMALY_TEXTS = {
-  group: (sets) => `sets ${sets.join(", ")} lie together, away from the others`,
-  outlier: (sets) => `set ${sets[0]} lies alone, away from the others`,
-  trend: () => "a trend over the whole baseline",
+  group: (sets) => `sets ${sets.join(", ")} form a separate group`,
+  outlier: (sets) => `set ${sets[0]} is an outlier`,
+  trend: () => "a trend over the complete baseline",
 };
 
 /** @param {any} row of /baselines */
@@ -30,7 +31,7 @@ function approvalText(row) {
   if (row.state === "retired") return `retired by ${author}, ${utc(row.retired_utc)}: ${reason}`;
   if (row.state !== "approved") return "";
   return (
-    `${row.approval === "automatic" ? "automatically: nobody signed it" : `by ${row.approval}`}, ` +
+    `${row.approval === "automatic" ? "approved automatically, not reviewed" : `approved by ${row.approval}`}, ` +
     `${utc(row.approved_utc)}`
   );
 }
@@ -38,16 +39,31 @@ function approvalText(row) {
 /** Whether it is frozen but has no limits. @param {any} row of /baselines */
 const unusable = (row) => row.state !== "collecting" && row.state !== "retired" && row.limit_reason !== null;
 
-/** @param {any} quality of a baseline */
-function falseAlarmText({
-  false_alarms_per_sensor_year,
-  rate_verified: rateVerified,
-  rate_not_verified_reason: unverifiedReason,
-}) {
-  return (
-    `${significant(false_alarms_per_sensor_year)} a year by the chart, ` +
-    `${rateVerified ? "promised" : `not promised: ${unverifiedReason}`}`
-  );
+/** Return the key of its state in `STATES`. @param {any} row of /baselines */
+function stateOf(row) {
+  if (unusable(row)) return "unusable";
+  return row.state === "approved" && !reviewed(row) ? "not_reviewed" : row.state;
+}
+
+/** Whether a person has approved it. @param {any} row of /baselines */
+const reviewed = (row) => row.state === "approved" && row.approval !== "automatic";
+
+/**
+ * Return the false-alarm rate; until a person approves the baseline, also why it is not verified and what to do.
+ *
+ * @param {any} row of /baselines
+ * @returns {[string, string][]}
+ */
+function falseAlarms(row) {
+  const { false_alarms_per_sensor_year: rate, rate_verified, rate_not_verified_reason, advice } = row.baseline_quality;
+  const design = `design rate ${significant(rate)} per transducer-year`;
+  if (rate_verified) return [["False alarms", `${design}, verified`]];
+  if (reviewed(row)) return [["False alarms", design]];
+  return [
+    ["False alarms", `${design}, not verified: ${rate_not_verified_reason}`],
+    ...(advice ? [/** @type {[string, string]} */ (["Size", advice])] : []),
+    ["What to do", "Approve this baseline, or renew it with more sets."],
+  ];
 }
 
 /**
@@ -61,8 +77,8 @@ function facts(row) {
   const range = `${row.first_set_index} to ${row.last_set_index}`;
   if (row.state === "collecting")
     return [
-      ["Sets", `${row.n_sets} of ${1 + row.last_set_index - row.first_set_index} so far (${range})`],
-      ["Complete", `with the set of hour ${fixed(row.to_h, 1)}, ${utc(row.to_utc)}`],
+      ["Sets", `${row.n_sets} of ${1 + row.last_set_index - row.first_set_index} (${range})`],
+      ["Complete", `hour ${fixed(row.to_h, 1)}, ${utc(row.to_utc)}`],
     ];
   if (quality === null)
     return [
@@ -75,17 +91,16 @@ function facts(row) {
   return [
     ["Sets", `${quality.n} of ${range}, ${quality.n_left_out} left out`],
     [
-      "Worth",
-      `${fixed(quality.n_eff, 0)} independent sets (correlation from set to set ${fixed(quality.phi_pooled, 2)})`,
+      "Effective size",
+      `${fixed(quality.n_eff, 0)} independent sets (lag-1 autocorrelation ${fixed(quality.phi_pooled, 2)})`,
     ],
-    ["Tails", `${fixed(quality.tail, 2)} times those of normal sets`],
-    ["Stands out", anomalies.join("; ") || "nothing"],
+    ["Tail factor", fixed(quality.tail, 2)],
+    ["Anomalies", anomalies.join("; ") || "none"],
     [
       "Temperature",
       temperature_c === null ? "not measured" : `${fixed(temperature_c[0], 1)} to ${fixed(temperature_c[1], 1)} °C`,
     ],
-    ["False alarms", falseAlarmText(quality)],
-    ...(quality.advice ? [/** @type {[string, string]} */ (["Size", quality.advice])] : []),
+    ...falseAlarms(row),
   ];
 }
 
@@ -116,7 +131,7 @@ export class BaselineCard {
     if (row === undefined || shown + acceptsCommands === this.shown) return;
     this.shown = shown + acceptsCommands;
     this.head.textContent = `Baseline of ${position}`;
-    this.state.replaceChildren(chip(STATES[unusable(row) ? "unusable" : row.state]));
+    this.state.replaceChildren(chip(STATES[stateOf(row)]));
     const readouts = facts(row).map(([term, value]) =>
       el("div", {}, el("dt", { text: term }), el("dd", { text: value })),
     );
@@ -125,7 +140,7 @@ export class BaselineCard {
       el("p", { class: "quiet", text: [row.name, approvalText(row)].filter(Boolean).join(", ") }),
       el("dl", { class: "readouts long" }, ...readouts),
       ...(earlier.length
-        ? [el("p", { class: "quiet small", text: "Before it:" }), el("ul", { class: "small" }, ...earlier)]
+        ? [el("p", { class: "quiet small", text: "Earlier baselines:" }), el("ul", { class: "small" }, ...earlier)]
         : []),
     );
     // A new set must not replace a button that a finger may be about to press.
@@ -138,43 +153,39 @@ export class BaselineCard {
   buttons(row) {
     const { position } = this;
     const approve = {
-      title: `Sign the baseline of ${position}`,
+      title: `Approve baseline of ${position}`,
       paragraphs: [
-        `You say that the wall and the transducer at ${position} were healthy in sets ` +
-          `${row.first_set_index} to ${row.last_set_index}. Later sets are judged by them, as they are ` +
-          "already.",
+        `You confirm that wall and transducer at ${position} were healthy in sets ` +
+          `${row.first_set_index} to ${row.last_set_index}. Later sets are compared with them.`,
       ],
-      submitLabel: `Sign ${row.name}`,
-      fields: [{ ...NOTE, label: "Note (everybody sees it)" }],
+      submitLabel: `Approve ${row.name}`,
+      fields: [{ ...NOTE, label: "Note (visible to all)" }],
     };
     const renew = {
-      title: `Another baseline for ${position}`,
+      title: `Renew baseline of ${position}`,
       paragraphs: [
-        `${row.name} is retired for good. Another one is collected from the next planned set on, and ` +
-          `until it is complete nothing judges the wall at ${position}: not the chart, and no limit.`,
-        "It learns the wall as it is. Damage that is there by then counts as healthy.",
+        `${row.name} is retired for good. A new baseline starts with the next scheduled set. Until it is complete, ` +
+          `the wall at ${position} is not monitored.`,
+        "Measure the wall first: damage that exists by then counts as healthy.",
       ],
       submitLabel: `Retire ${row.name}`,
       fields: [{ ...NOTE, input: { required: true } }],
     };
     return [
       ...(row.state === "proposed" && !unusable(row) && isAllowed("approve_baseline")
-        ? [this.button("Sign it", "approve_baseline", approve)]
+        ? [this.button("Approve", "approve_baseline", approve)]
         : []),
-      ...(isAllowed("renew_baseline") ? [this.button("Begin another one", "renew_baseline", renew)] : []),
+      ...(isAllowed("renew_baseline") ? [this.button("Renew baseline", "renew_baseline", renew)] : []),
     ];
   }
 
   /** @param {string} label @param {string} kind @param {import("./control/confirm.js").Question} question */
   button(label, kind, question) {
-    const commandButton = /** @type {HTMLButtonElement} */ (
-      el("button", { class: "button ghost", type: "button", text: label })
-    );
-    commandButton.addEventListener("click", async () => {
-      const { position } = this;
+    const { position } = this;
+    const ask = async (/** @type {HTMLButtonElement} */ pressed) => {
       const answers = await askConfirmation(question);
-      if (answers !== null) await sendByButton(commandButton, kind, { position, ...answers }, this.onTrouble);
-    });
-    return commandButton;
+      if (answers !== null) await sendByButton(pressed, kind, { position, ...answers }, this.onTrouble);
+    };
+    return button(label, ask, { class: "button ghost" });
   }
 }

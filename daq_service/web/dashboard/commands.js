@@ -48,12 +48,12 @@ export async function sendByButton(button, kind, args, onTrouble) {
 export async function awaitResult(row, report) {
   for (let poll = 0; poll < MAX_POLLS; poll++) {
     if (row.state === "done") return;
-    if (row.state === "rejected") throw new Error(row.result ?? `the recorder rejected ${row.kind}`);
+    if (row.state === "rejected") throw new Error(row.result ?? `The recorder rejected ${row.kind}.`);
     if (row.state !== "pending" && row.state !== "started") throw new Error(`${row.kind} ${row.state}: ${row.result}`);
     // The recorder reads commands between two strikes: while it stores a set this may take some time.
-    report(row.state === "started" ? "Being carried out" : `Sent, expires in ${Math.ceil(row.expires_in_s)} s`);
+    report(row.state === "started" ? "Executing" : `Sent, expires in ${Math.ceil(row.expires_in_s)} s`);
     await new Promise((resolve) => setTimeout(resolve, POLL_MS));
     row = await get(`/commands/${row.id}`);
   }
-  throw new Error(`the recorder began to ${row.kind} and has not answered; look before you send it again`);
+  throw new Error(`${row.kind}: started, no result yet. Check the state before you send it again.`);
 }

@@ -119,7 +119,7 @@ export class DataLoader {
       const { data, recorder, doing } = await getLiveness();
       if (!data) {
         this.listener.onWaiting(
-          `${doing ? `Recorder: ${doing}` : "Waiting for the first record"}. The first set fills this page.`,
+          `${doing ? `Recorder: ${doing}` : "Waiting for the first waveform"}. The first set fills this page.`,
           recorder,
         );
         // From the first event on: the recorder may have asked an operator to strike the first shot.
@@ -129,7 +129,7 @@ export class DataLoader {
       }
       this.info = await get("/info");
     } catch (error) {
-      this.listener.onWaiting(`The service does not answer: ${/** @type {Error} */ (error).message}`);
+      this.listener.onWaiting(`The service does not respond: ${/** @type {Error} */ (error).message}`);
       setTimeout(() => this.start(openEvents), RETRY_MS);
       return;
     }

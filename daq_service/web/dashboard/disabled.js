@@ -2,9 +2,9 @@
 
 import { askConfirmation } from "./control/confirm.js";
 import { isAllowed } from "./control/session.js";
-import { el } from "./dom.js";
+import { button, el } from "./dom.js";
 import { STATES, chip } from "./icons.js";
-import { sendCommand } from "./commands.js";
+import { sendByButton } from "./commands.js";
 
 export class DisabledTransducers {
   /** @param {HTMLElement} root @param {(text: string) => void} onTrouble */
@@ -12,62 +12,44 @@ export class DisabledTransducers {
     this.root = root;
     this.onTrouble = onTrouble;
     this.shown = "";
-    /** @type {Map<string, string>} status of our commands, by position */
-    this.commandStatus = new Map();
-    /** @type {any[]} */
-    this.items = [];
-    this.acceptsCommands = false;
   }
 
   /** @param {any} answer of /transducers */
-  update(answer) {
-    this.items = answer.items.filter((/** @type {any} */ { disabled_reason: reason }) => reason !== null);
-    this.acceptsCommands = answer.as_of.recorder !== "finished" && answer.as_of.recorder !== "stopped";
-    this.render();
-  }
-
-  render() {
+  update({ items, as_of: { recorder } }) {
+    const disabled = items.filter((/** @type {any} */ { disabled_reason: reason }) => reason !== null);
+    const mayEnable = recorder !== "finished" && recorder !== "stopped" && isAllowed("enable");
     const content = JSON.stringify([
-      this.acceptsCommands,
-      [...this.commandStatus],
-      this.items.map(({ position, disabled_reason: reason }) => [position, reason]),
+      mayEnable,
+      disabled.map((/** @type {any} */ { position, disabled_reason: reason }) => [position, reason]),
     ]);
     if (content === this.shown) return;
     this.shown = content;
-    const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.enable;
-    this.root.hidden = this.items.length === 0;
-    this.root.replaceChildren(...this.items.map((item) => this.row(item)));
-    if (focused) /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-enable="${focused}"]`))?.focus();
+    this.root.hidden = disabled.length === 0;
+    this.root.replaceChildren(...disabled.map((/** @type {any} */ item) => this.row(item, mayEnable)));
   }
 
-  /** @param {any} item of /transducers @returns {HTMLElement} */
-  row({ position, disabled_reason: reason }) {
+  /** @param {any} item of /transducers @param {boolean} mayEnable @returns {HTMLElement} */
+  row({ position, disabled_reason: reason }, mayEnable) {
     const row = el(
       "div",
       { class: "banner", "data-tone": "alarm" },
       chip(STATES.disabled),
       el("p", {}, el("strong", { text: `Position ${position}: ` }), reason),
     );
-    if (this.acceptsCommands && isAllowed("enable")) {
-      const status = this.commandStatus.get(position);
-      const button = el("button", {
-        class: "button small",
-        type: "button",
-        "data-enable": position,
-        disabled: status !== undefined,
-        text: status ?? "Enable",
-        "aria-label": `${status ?? "Enable"}: position ${position}`,
-      });
-      button.addEventListener("click", () => this.enable(position));
-      row.append(button);
-    }
+    if (mayEnable)
+      row.append(
+        button("Enable", (pressed) => this.enable(position, pressed), {
+          class: "button small",
+          "aria-label": `Enable: position ${position}`,
+        }),
+      );
     return row;
   }
 
-  /** @param {string} position */
-  async enable(position) {
+  /** @param {string} position @param {HTMLButtonElement} pressed */
+  async enable(position, pressed) {
     const paragraphs = [
-      `Position ${position} strikes again from the next set on: hands out of the rig. The alarm that ` +
+      `Position ${position} strikes again from the next set. Keep hands out of the rig. The alarm that ` +
         "disabled it is reset.",
       "To undo it, disable it again.",
     ];
@@ -76,17 +58,6 @@ export class DisabledTransducers {
       paragraphs,
       submitLabel: `Enable ${position}`,
     });
-    if (answers === null) return;
-    const report = (/** @type {string} */ text) => {
-      this.commandStatus.set(position, text);
-      this.render();
-    };
-    try {
-      await sendCommand("enable", { position }, report);
-    } catch (error) {
-      this.onTrouble(/** @type {Error} */ (error).message);
-    }
-    this.commandStatus.delete(position);
-    this.render();
+    if (answers !== null) await sendByButton(pressed, "enable", { position }, this.onTrouble);
   }
 }

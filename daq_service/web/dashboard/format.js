@@ -99,7 +99,7 @@ export function time(text) {
 }
 
 /**
- * Return the age of the newest data of another test: on its own clock, and since its recorder wrote.
+ * Return the age of the newest data of another test: on its own clock, and since its last update.
  *
  * @param {any} standing of /tests
  * @param {{data_h: Maybe, age_h: Maybe, stale: boolean}} data

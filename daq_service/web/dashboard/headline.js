@@ -9,7 +9,11 @@ const RANK = ["critical", "high", "medium", "low"];
 
 /** Return the active alarms that are not suppressed, the most urgent first. @param {any[]} alarms of the API */
 export function rankActive(alarms) {
-  const rank = (/** @type {any} */ alarm) => RANK.indexOf(alarm.priority) + (alarm.state === "acknowledged" ? 0.5 : 0);
+  // Of one priority, a wall that the model diagnoses comes first, an acknowledged alarm last.
+  const rank = (/** @type {any} */ alarm) =>
+    RANK.indexOf(alarm.priority) +
+    (alarm.state === "acknowledged" ? 0.5 : 0) -
+    (alarm.evidence?.diagnosis === "wall" ? 0.25 : 0);
   return alarms
     .filter((alarm) => ACTIVE.has(alarm.state) && !alarm.suppressed)
     .sort((a, b) => rank(a) - rank(b) || b.raised_h - a.raised_h);

@@ -41,7 +41,7 @@ function loggedIn() {
     el(
       "p",
       { class: "quiet" },
-      "This service asks for a token: whoever runs it makes one with ",
+      "This service needs a token. Its administrator creates one with ",
       el("code", { text: "solimon token create" }),
       ".",
     ),

@@ -281,6 +281,7 @@ function showAll() {
 
 function onStart() {
   operatorPrompt.show(data.info.asked);
+  alarmList.handover.start(data.info.last_event_id);
   showInfo();
   showAll();
 }
@@ -348,6 +349,7 @@ function showNewest() {
 function onEvent(topic, event) {
   if (topic === "service") operatorPrompt.onEvent(event);
   data.onEvent(topic, event);
+  alarmList.handover.add(topic, event);
   const { position, set } = address.view;
   const concerns = event.position === position && (setKey(event) === set || String(event.kind).includes("baseline"));
   if (set !== null && concerns) void panel.read();
@@ -440,12 +442,8 @@ const theme = new Theme(
 );
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
-  const paragraphs = ["The rest of the simulated test runs at full speed. It cannot be slowed down again."];
-  if (
-    (await askConfirmation({ title: "Skip to the end of the test", paragraphs, submitLabel: "Run to the end" })) ===
-    null
-  )
-    return;
+  const paragraphs = ["The rest of the simulated test runs at full speed. You cannot slow it down again."];
+  if ((await askConfirmation({ title: "Skip to end", paragraphs, submitLabel: "Skip to end" })) === null) return;
   if (await sendByButton(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
     button.disabled = true;
     setText(button, "Finishing");

@@ -23,9 +23,9 @@ export class SolimonNotes extends HTMLElement {
     this.host = /** @type {any} */ (null);
     /** @type {any[]} */
     this.items = [];
-    this.count = el("p", { "aria-live": "polite", text: "Reading" });
+    this.count = el("p", { "aria-live": "polite", text: "Loading" });
     this.list = el("ul", { class: "alarm-list", "aria-labelledby": "notes-title" });
-    this.addButton = button("Add a note", () => this.ask(this.pointed ?? this.host.now(), ""), { hidden: true });
+    this.addButton = button("Add note", () => this.ask(this.pointed ?? this.host.now(), ""), { hidden: true });
     const field = (/** @type {string} */ name, /** @type {string} */ type) =>
       /** @type {HTMLInputElement} */ (el("input", { class: "field", id: `note-${name}`, type, step: "any" }));
     this.from = field("from", "number");
@@ -35,7 +35,7 @@ export class SolimonNotes extends HTMLElement {
       el("textarea", { class: "field", id: "note-text", rows: "3", maxlength: "2000", required: true })
     );
     this.position = /** @type {HTMLSelectElement} */ (el("select", { class: "field", id: "note-position" }));
-    this.shown = button("The hours shown", () => this.setHours(this.host.span()));
+    this.shown = button("Visible range", () => this.setHours(this.host.span()));
     const now = button("Now", () => this.setHours([this.host.now(), this.host.now()]));
     this.trouble = el("p", { role: "alert" });
     const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
@@ -47,10 +47,10 @@ export class SolimonNotes extends HTMLElement {
       el(
         "form",
         {},
-        el("h2", { id: "note-title", text: "Note something" }),
-        ...label(this.text, "What is to be known"),
-        ...label(this.from, "Hour of the test"),
-        ...label(this.to, "Until hour (empty: an instant)"),
+        el("h2", { id: "note-title", text: "Add note" }),
+        ...label(this.text, "Note"),
+        ...label(this.from, "From hour"),
+        ...label(this.to, "To hour (empty: one time)"),
         el("span", { class: "choices" }, now, this.shown),
         ...label(this.position, "Position"),
         this.trouble,
@@ -58,7 +58,7 @@ export class SolimonNotes extends HTMLElement {
           "div",
           { class: "dialog-actions" },
           cancel,
-          el("button", { class: "button", type: "submit", text: "Save the note" }),
+          el("button", { class: "button", type: "submit", text: "Save note" }),
         ),
       )
     );
@@ -94,7 +94,7 @@ export class SolimonNotes extends HTMLElement {
     this.dataset.count = String(items.length);
     setText(
       this.count,
-      items.length ? `${items.length} on this test` : "None so far. On a chart, n notes something at the cursor.",
+      items.length ? `${items.length} on this test` : "None. On a chart, press N to add a note at the cursor.",
     );
     this.list.hidden = !items.length;
     this.list.replaceChildren(...[...items].sort((a, b) => b.from_h - a.from_h).map((note) => this.item(note)));

@@ -2,7 +2,7 @@
 
 import { get, post } from "./api.js";
 import { isAllowed } from "./control/session.js";
-import { el, setText } from "./dom.js";
+import { button, el, setText } from "./dom.js";
 import { duration, utc } from "./format.js";
 import { chip } from "./icons.js";
 
@@ -13,24 +13,24 @@ const LOG_LINES = 50;
 const STATES = {
   idle: { label: "Ready", icon: "check", tone: "good" },
   waiting: { label: "Waiting to send", icon: "dots", tone: "info" },
-  failing: { label: "Not reached, tried again", icon: "triangle", tone: "warn" },
-  dead: { label: "Not reached for long", icon: "link", tone: "alarm" },
+  failing: { label: "Retrying", icon: "triangle", tone: "warn" },
+  dead: { label: "Unreachable", icon: "link", tone: "alarm" },
 };
 
 /** @param {any} receiver of /notifications */
 function lastSuccess(receiver) {
   return receiver.last_sent_utc === null
-    ? "none since the service began"
+    ? "none since the service started"
     : `${utc(receiver.last_sent_utc)}, ${duration(receiver.last_sent_age_s)} ago`;
 }
 
 /** @param {any} beat */
 function heartbeat(beat) {
-  if (beat === null) return "not asked for";
+  if (beat === null) return "not configured";
   const states = /** @type {Record<string, string>} */ ({
     off: "none yet",
-    ok: "taken",
-    failing: "not taken",
+    ok: "accepted",
+    failing: "not accepted",
     withheld: "withheld",
   });
   const last = beat.last_utc ? `, last ${utc(beat.last_utc)}` : "";
@@ -42,8 +42,8 @@ function heartbeat(beat) {
 function trouble(receiver) {
   if (receiver.failing_since_utc === null) return "";
   return (
-    `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried ` +
-    "again until it is too old."
+    `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Messages wait and are sent again ` +
+    "until they expire."
   );
 }
 
@@ -55,15 +55,10 @@ class Receiver {
     this.values = Object.fromEntries(["Last success", "Waiting", "Heartbeat"].map((term) => [term, el("dd")]));
     this.trouble = el("p", { role: "status" });
     this.result = el("p", { class: "quiet small", role: "status" });
-    this.button = /** @type {HTMLButtonElement} */ (
-      el("button", {
-        class: "button ghost",
-        type: "button",
-        hidden: !isAllowed("test_receiver"),
-        text: `Send a trial to ${this.name}`,
-      })
-    );
-    this.button.addEventListener("click", () => this.#test(changed));
+    this.button = button(`Send test message to ${this.name}`, () => this.#test(changed), {
+      class: "button ghost",
+      hidden: !isAllowed("test_receiver"),
+    });
     const readouts = Object.entries(this.values).map(([term, value]) => el("div", {}, el("dt", { text: term }), value));
     this.element = el(
       "div",
@@ -101,7 +96,7 @@ class Receiver {
       const { ok, took_s, result: response } = await post(`/notifications/${this.name}/test`, {});
       setText(
         this.result,
-        `${ok ? "The trial arrived" : "The trial did not arrive"} after ${took_s.toFixed(1)} s: ${response}`,
+        `${ok ? "Test message accepted" : "Test message not accepted"} after ${took_s.toFixed(1)} s: ${response}`,
       );
     } catch (error) {
       setText(this.result, /** @type {Error} */ (error).message);
@@ -121,7 +116,7 @@ export class Notifications {
     this.receivers = new Map();
     this.status = el("p", { role: "status" });
     this.rows = el("tbody");
-    this.log = el("details", {}, el("summary", { text: "Log of deliveries" }), this.#table());
+    this.log = el("details", {}, el("summary", { text: "Delivery log" }), this.#table());
     this.log.addEventListener("toggle", () => this.#readLog());
   }
 
@@ -148,22 +143,24 @@ export class Notifications {
 
   /** @param {any} answer */
   #show(answer) {
-    setText(this.status, answer.sending ? "" : `This service sends nothing now: ${answer.not_sending_reason}`);
+    setText(this.status, answer.sending ? "" : `This service sends nothing: ${answer.not_sending_reason}`);
     for (const receiver of answer.receivers) this.receivers.get(receiver.name)?.update(receiver);
   }
 
   #table() {
-    const head = ["Time", "Receiver", "What", "Told", "Events"].map((text) => el("th", { scope: "col", text }));
+    const head = ["Time", "Receiver", "Event", "Result", "Event numbers"].map((text) =>
+      el("th", { scope: "col", text }),
+    );
     const table = el(
       "table",
       {},
-      el("caption", { text: `The newest ${LOG_LINES}` }),
+      el("caption", { text: `The latest ${LOG_LINES}` }),
       el("thead", {}, el("tr", {}, ...head)),
       this.rows,
     );
     return el(
       "div",
-      { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Log of deliveries, table" },
+      { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Delivery log, table" },
       table,
     );
   }

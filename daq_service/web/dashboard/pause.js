@@ -31,7 +31,7 @@ export class PauseControl {
     const answers = await askConfirmation({
       title: "Pause the test",
       paragraphs: [
-        "The strike that is under way ends, none follows, and a restart does not end the pause.",
+        "The current strike ends and no other follows, also after a restart. Due sets are missed.",
         "Pausing does not isolate energy. Open the cut-out before you reach in.",
       ],
       submitLabel: "Pause test",
@@ -41,7 +41,7 @@ export class PauseControl {
           name: "note",
           label: "Reason",
           first: true,
-          input: { required: true, pattern: ".*\\S.*", placeholder: "hands in the rig" },
+          input: { required: true, pattern: ".*\\S.*", placeholder: "work inside the rig" },
         },
       ],
     });
@@ -52,7 +52,7 @@ export class PauseControl {
     const answers = await askConfirmation({
       title: "Resume the test",
       paragraphs: [
-        "Strikers move again from the next due set on: hands out of the rig, doors shut.",
+        "Strikers move again from the next due set. Keep hands out of the rig and close its doors.",
         "To undo it, pause the test again.",
       ],
       submitLabel: "Resume test",

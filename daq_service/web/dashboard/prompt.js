@@ -30,7 +30,7 @@ export class OperatorPrompt {
         request.position == null
           ? ""
           : `Position ${request.position}, ${setName(setKey(request))}, shot ${request.shot_index}`;
-      setText(byId("prompt-shot"), request.attempt ? `${shotText}, once more` : shotText);
+      setText(byId("prompt-shot"), request.attempt ? `${shotText}, repeat` : shotText);
     }
     this.tick();
   }

@@ -160,11 +160,11 @@ async function showStrike() {
   /** @type {HTMLElement} */ (strikeCanvas.closest("section")).hidden = newest.strike === null && newest.shot !== null;
   if (newest.strike !== null) {
     const edges = [{ name: "coil off", time_s: newest.off_s }];
-    if (newest.holdoff_s) edges.push({ name: "listens", time_s: newest.off_s + newest.holdoff_s });
+    if (newest.holdoff_s) edges.push({ name: "trigger enabled", time_s: newest.off_s + newest.holdoff_s });
     draw(strikeCanvas, [newest.strike], { level_v: newest.level_v, edges });
     strikeCanvas.setAttribute(
       "aria-label",
-      `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`,
+      `Strike, ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`,
     );
   }
   const shot = /** @type {HTMLCanvasElement} */ (byId("shot"));
@@ -187,7 +187,7 @@ async function pollScope() {
     scope = { position, level_v: scope.level_v };
     setText(byId("live-title"), position === null ? "At rest, free running" : `${position} at rest, free running`);
     if (position !== null && envelope === null)
-      setText(byId("live-title"), `${position}: its instrument records strikes only`);
+      setText(byId("live-title"), `${position}: the instrument records strikes only`);
   }
   if (error) setText(byId("state"), error);
   if (!envelope) return;
@@ -196,7 +196,7 @@ async function pollScope() {
   live.dataset.frames = String(Number(live.dataset.frames ?? 0) + 1);
   live.setAttribute(
     "aria-label",
-    `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V at most; range ` +
+    `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V maximum; range ` +
       `±${envelope.range_v} V`,
   );
 }
@@ -214,7 +214,7 @@ async function pollState() {
       );
       return;
     }
-    setText(byId("state"), state.question === null ? "Working" : "Waits for you");
+    setText(byId("state"), state.question === null ? "Working" : "Waiting for you");
     show(state.question);
     if (state.strikes !== strikes) {
       strikes = state.strikes;
@@ -228,5 +228,5 @@ async function pollState() {
 pollState().catch(() => {
   setText(byId("state"), "Ended");
   byId("form").hidden = true;
-  setText(byId("question"), "solimon setup has ended; the terminal says more");
+  setText(byId("question"), "solimon setup has ended; see the terminal");
 });

@@ -14,13 +14,13 @@ const TICK_MS = 1000;
 /** Labels for tests that cannot be shown, by reason. @type {Record<string, string>} */
 const ABSENT = {
   no_data: "No data yet",
-  missing: "Folder not there",
-  foreign: "No test",
-  misconfigured: "Configuration refused",
-  damaged: "Damaged",
-  other_version: "Another version",
-  locked: "Locked by its own tokens",
-  unreadable: "Not readable",
+  missing: "Folder not found",
+  foreign: "Not a data folder",
+  misconfigured: "Invalid configuration",
+  damaged: "Corrupt",
+  other_version: "Other version",
+  locked: "Token required",
+  unreadable: "Unreadable",
 };
 
 const root = byId("tests");
@@ -59,7 +59,7 @@ function card(item) {
       chip({
         ...PRIORITIES[standing.highest_priority],
         label:
-          `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, worst ` +
+          `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, highest priority ` +
           `${standing.highest_priority}`,
       }),
     );
@@ -89,7 +89,7 @@ function show() {
   const shown = items.filter((item) => item.standing).length;
   setText(
     byId("summary"),
-    `${items.length} tests${shown < items.length ? `, ${items.length - shown} of them cannot be shown` : ""}`,
+    `${items.length} tests${shown < items.length ? `, ${items.length - shown} not available` : ""}`,
   );
   tick();
 }

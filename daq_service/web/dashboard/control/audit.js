@@ -1,7 +1,8 @@
 // Show the audit log to administrators, newest entry first: author, operation, time, source and result.
 
 import { get } from "../api.js";
-import { byId, el, setText } from "../dom.js";
+import { button, byId, el, setText } from "../dom.js";
+import { utc } from "../format.js";
 import { isAllowed } from "./session.js";
 
 const PAGE = 50;
@@ -21,7 +22,7 @@ const COMMAND_KINDS = [
 ];
 /** @type {[string, string[]][]} */
 const KINDS = [
-  ["Everything", []],
+  ["All", []],
   ["Pauses", PAUSE_KINDS],
   ["Commands", COMMAND_KINDS],
   ["Logins and tokens", LOGIN_KINDS],
@@ -52,9 +53,9 @@ function row(item) {
   const args = Object.entries(item.arguments)
     .filter(([name, value]) => name !== "request_id" && value !== null && value !== "")
     .map(([name, value]) => `${name}: ${value}`);
-  const omitted = item.left_out ? `; ${item.left_out} rejections before it are not listed` : "";
+  const omitted = item.left_out ? `; ${item.left_out} earlier rejections are not listed` : "";
   const cells = [
-    el("time", { datetime: item.utc, title: item.utc, text: new Date(item.utc).toLocaleString() }),
+    el("time", { datetime: item.utc, title: item.utc, text: utc(item.utc) }),
     item.author || "Unknown",
     item.role || "Not logged in",
     item.source,
@@ -81,9 +82,7 @@ export class Audit {
     for (const [k, text] of RESULTS.entries()) this.result.append(el("option", { value: k === 0 ? "" : text, text }));
     this.status = el("p", { class: "quiet small", role: "status" });
     this.body = el("tbody");
-    this.olderButton = /** @type {HTMLButtonElement} */ (
-      el("button", { class: "button ghost small", type: "button", text: "Older" })
-    );
+    this.olderButton = button("Older", () => this.read(this.cursor));
     this.kind = this.choice(
       "Kind",
       KINDS.map(([word]) => word),
@@ -110,23 +109,18 @@ export class Audit {
     this.root.addEventListener("toggle", () => this.root.open && void this.read(null));
     this.author.addEventListener("change", () => void this.read(null));
     this.result.addEventListener("change", () => void this.read(null));
-    this.olderButton.addEventListener("click", () => void this.read(this.cursor));
   }
 
   /** Return a group of buttons of which one is chosen. @param {string} label @param {string[]} labels */
   choice(label, labels) {
     const root = el("span", { class: "chips", role: "group", "aria-label": label });
     const group = { root, chosen: 0 };
-    const buttons = labels.map((text, k) =>
-      el("button", { class: "button ghost small", type: "button", "aria-pressed": String(k === 0), text }),
-    );
-    for (const [k, button] of buttons.entries()) {
-      button.addEventListener("click", () => {
-        group.chosen = k;
-        for (const [other, one] of buttons.entries()) one.setAttribute("aria-pressed", String(other === k));
-        void this.read(null);
-      });
-    }
+    const choose = (/** @type {HTMLButtonElement} */ pressed) => {
+      group.chosen = buttons.indexOf(pressed);
+      for (const one of buttons) one.setAttribute("aria-pressed", String(one === pressed));
+      void this.read(null);
+    };
+    const buttons = labels.map((text, k) => button(text, choose, { "aria-pressed": String(k === 0) }));
     root.append(...buttons);
     return group;
   }
@@ -145,7 +139,7 @@ export class Audit {
     const query = new URLSearchParams({ limit: String(PAGE) });
     for (const [name, value] of Object.entries(filters)) if (value) query.set(name, value);
     const requestNumber = ++this.requestNumber;
-    setText(this.status, "Reading");
+    setText(this.status, "Loading");
     try {
       const page = await get(`/audit?${query}`);
       if (requestNumber !== this.requestNumber) return; // another filter was chosen in the meantime
@@ -154,11 +148,11 @@ export class Audit {
       this.cursor = page.next_cursor;
       this.olderButton.hidden = this.cursor === null;
       const count = this.body.childElementCount;
-      const rest = this.cursor === null ? "" : "; there is more before that";
-      setText(this.status, `${count || "Nothing"} found${rest}. Times are this computer's.`);
+      const rest = this.cursor === null ? "" : "; older entries exist";
+      setText(this.status, `${count || "Nothing"} found${rest}. Days are those of this browser's time zone.`);
     } catch (error) {
       if (requestNumber === this.requestNumber)
-        setText(this.status, `The audit cannot be read: ${/** @type {Error} */ (error).message}`);
+        setText(this.status, `Audit log not available: ${/** @type {Error} */ (error).message}`);
     }
   }
 }

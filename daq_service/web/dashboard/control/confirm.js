@@ -7,6 +7,7 @@ import { el, setText } from "../dom.js";
  * @property {string} name
  * @property {string} label
  * @property {Record<string, string | boolean>} [input] attributes
+ * @property {[string, string][]} [options] value and text of each choice; the first is selected
  * @property {boolean} [first] has the focus, instead of "Cancel"
  *
  * @typedef {object} Question
@@ -26,14 +27,20 @@ export function askConfirmation({ title, paragraphs, submitLabel, fields = [] })
   const inputs = fields.map(
     (field) =>
       /** @type {HTMLInputElement} */ (
-        el("input", {
-          id: `confirm-${field.name}`,
-          class: "field",
-          type: "text",
-          autocomplete: "off",
-          maxlength: "200",
-          ...field.input,
-        })
+        field.options
+          ? el(
+              "select",
+              { id: `confirm-${field.name}`, class: "field" },
+              ...field.options.map(([value, text]) => el("option", { value, text })),
+            )
+          : el("input", {
+              id: `confirm-${field.name}`,
+              class: "field",
+              type: "text",
+              autocomplete: "off",
+              maxlength: "200",
+              ...field.input,
+            })
       ),
   );
   const values = () => Object.fromEntries(fields.map((field, k) => [field.name, inputs[k].value.trim()]));

@@ -1,7 +1,7 @@
 // Offer the commands that change the test for good: stop, disable, supply. Disabled, with the reason, where the role
 // does not allow them.
 
-import { byId, el, setText } from "../dom.js";
+import { button, byId, setText } from "../dom.js";
 import { duration, significant } from "../format.js";
 import { sendByButton } from "../commands.js";
 import { askConfirmation } from "./confirm.js";
@@ -9,7 +9,7 @@ import { isAllowed, denialReason } from "./session.js";
 
 /** @typedef {import("./confirm.js").Question} Question */
 
-const NOTE = { name: "note", label: "Reason (everybody sees it)" };
+const NOTE = { name: "note", label: "Reason (visible to all)" };
 
 /** @param {string} name @param {string} label @param {number} value @param {number} maximum */
 function number(name, label, value, maximum) {
@@ -24,51 +24,50 @@ function number(name, label, value, maximum) {
 function supplyEndText(supply) {
   const endText = supply.off_at_end ? " at the end of the test," : "";
   return (
-    `It goes off by the command below, at ${significant(supply.interlock_current_a)} A or more ` +
-    `(interlock),${endText} and ${duration(supply.watchdog_timeout_s)} after the recorder is gone. Once off ` +
-    "it never goes on again by itself."
+    `It switches off by command, at ${significant(supply.interlock_current_a)} A or more ` +
+    `(interlock),${endText} and ${duration(supply.watchdog_timeout_s)} after the recorder stops. ` +
+    "It never switches on again by itself."
   );
 }
 
 /** @type {Record<string, (info: any, position: string) => Question>} */
 const QUESTIONS = {
   stop: ({ supply }) => ({
-    title: "Stop the test",
+    title: "Stop test",
     paragraphs: [
-      "The recorder ends after the shot that is being taken. From then on nothing is recorded: sets " +
-        "that fall due are missed, and what is stored stays.",
+      "The recorder ends after the current shot. Later sets are missed. Stored data remain.",
       ...(supply === null
         ? []
         : [
             supply.off_at_end
-              ? "The supply is switched off, and does not go on again by itself."
-              : "The supply stays as it is. Its watchdog switches it off after " +
+              ? "The supply is switched off. It does not switch on again by itself."
+              : "The supply keeps its state. Its watchdog switches it off after " +
                 `${duration(supply.watchdog_timeout_s)} without a recorder.`,
           ]),
-      "This page cannot take it back: to go on, somebody starts `solimon run` at the computer.",
+      "This page cannot undo it. To continue, start `solimon run` at the computer.",
     ],
-    submitLabel: "Stop the test",
+    submitLabel: "Stop test",
   }),
   disable: (_, position) => ({
     title: `Disable position ${position}`,
     paragraphs: [
-      `Position ${position} is not struck from its next shot on. No sets will come from it, and what ` +
-        "falls due meanwhile cannot be made up for; the other positions go on.",
-      "It stays so over restarts. To undo it, press Enable next to its notice.",
+      `Position ${position} is not struck after its current shot. No sets come from it until it is ` +
+        "enabled. The other positions continue.",
+      "It stays disabled after a restart. To undo it, press Enable next to its notice.",
     ],
     submitLabel: `Disable ${position}`,
     fields: [NOTE],
   }),
   supply_on: ({ supply }) => ({
-    title: "Switch the supply on",
+    title: "Switch supply on",
     paragraphs: [
-      "The wall corrodes and the cell makes hydrogen for as long as the supply is on: air the tank, and " +
-        "keep hands out of it. Corrosion cannot be taken back.",
+      "While the supply is on, the wall corrodes and the cell produces hydrogen. Ventilate the tank and " +
+        "keep hands out of it. Corrosion cannot be undone.",
       supplyEndText(supply),
-      `At most ${significant(supply.voltage_cap_v)} V and ${significant(supply.current_cap_a)} A are ` +
-        "allowed. If it is on already, it takes over these values.",
+      `The caps are ${significant(supply.voltage_cap_v)} V and ${significant(supply.current_cap_a)} A. ` +
+        "A supply that is already on takes these values.",
     ],
-    submitLabel: ({ voltage_v, current_limit_a }) => `Switch on: ${voltage_v} V, at most ${current_limit_a} A`,
+    submitLabel: ({ voltage_v, current_limit_a }) => `Switch on: ${voltage_v} V, limit ${current_limit_a} A`,
     fields: [
       number("voltage_v", "Voltage in V", supply.voltage_v, supply.voltage_cap_v),
       number("current_limit_a", "Current limit in A", supply.current_limit_a, supply.current_cap_a),
@@ -76,9 +75,9 @@ const QUESTIONS = {
     ],
   }),
   supply_off: () => ({
-    title: "Switch the supply off",
+    title: "Switch supply off",
     paragraphs: [
-      "Corrosion ends. The supply stays off, over restarts too, until somebody switches it on here or " +
+      "Corrosion ends. The supply stays off, also after a restart, until it is switched on here or " +
         "with `solimon supply --on`.",
     ],
     submitLabel: "Switch off",
@@ -106,11 +105,11 @@ export class RunControl {
     );
     const acceptsCommands = recorder !== "finished" && recorder !== "stopped";
     this.root.hidden = !acceptsCommands;
-    this.offer("stop", "Stop the test");
+    this.offer("stop", "Stop test");
     for (const { position, method } of info.positions)
       if (method === "solitary_wave") this.offer("disable", `Disable ${position}`, position, disabled.has(position));
     if (info.supply !== null) {
-      this.offer("supply_on", "Supply on, or its limits");
+      this.offer("supply_on", "Supply on or new limits");
       this.offer("supply_off", "Supply off");
     }
     setText(byId("control-reason"), Object.keys(QUESTIONS).every(isAllowed) ? "" : denialReason());
@@ -119,22 +118,17 @@ export class RunControl {
   /** @param {string} kind @param {string} label @param {string} [position] @param {boolean} [hidden] */
   offer(kind, label, position = "", hidden = false) {
     const key = `${kind} ${position}`;
-    let button = this.buttons.get(key);
-    if (!button) {
-      button = /** @type {HTMLButtonElement} */ (
-        el("button", {
-          class: "button ghost",
-          type: "button",
-          disabled: !isAllowed(kind),
-          "aria-describedby": "control-reason",
-          text: label,
-        })
-      );
-      button.addEventListener("click", () => void this.ask(kind, position, /** @type {HTMLButtonElement} */ (button)));
-      this.buttons.set(key, button);
-      this.choices.append(button);
+    let offered = this.buttons.get(key);
+    if (!offered) {
+      offered = button(label, (pressed) => this.ask(kind, position, pressed), {
+        class: "button ghost",
+        disabled: !isAllowed(kind),
+        "aria-describedby": "control-reason",
+      });
+      this.buttons.set(key, offered);
+      this.choices.append(offered);
     }
-    button.hidden = hidden;
+    offered.hidden = hidden;
   }
 
   /** @param {string} kind @param {string} position @param {HTMLButtonElement} button */

@@ -35,18 +35,18 @@ export function denialReason() {
  */
 export async function authorName() {
   const name = session.name ?? localStorage.getItem(NAME_KEY) ?? (await askName());
-  if (!name) throw new Error("nothing was sent: a command bears the name of the person who gives it");
+  if (!name) throw new Error("Command not sent: it needs the name of its author.");
   return name;
 }
 
 async function askName() {
   const answers = await askConfirmation({
-    title: "Your name",
+    title: "Set name",
     paragraphs: [
-      "Commands and the audit log bear it, marked as claimed: without tokens it is not checked.",
-      "The browser remembers it.",
+      "Commands and the audit log show this name as claimed. Without tokens it is not verified.",
+      "This browser stores the name.",
     ],
-    submitLabel: "Use this name",
+    submitLabel: "Set name",
     fields: [
       {
         name: "name",
@@ -63,5 +63,5 @@ async function askName() {
 
 function showName() {
   const name = localStorage.getItem(NAME_KEY);
-  setText(byId("name"), name ? `${name} (claimed)` : "Say your name");
+  setText(byId("name"), name ? `${name} (claimed)` : "Set name");
 }
