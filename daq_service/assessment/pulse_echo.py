@@ -155,8 +155,10 @@ class PulseEchoAssessor:
 
     @property
     def _limit_loss_m(self) -> float:
-        """Return the thickness loss above which a reading counts for the alarm, m."""
-        return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
+        """Return the thickness loss above which a reading counts for the alarm, m, by the larger limit."""
+        initial_m = self._settings.ultrasound.initial_thickness_m
+        of_fraction_m = self._settings.alarms.thickness_loss_fraction * initial_m
+        return min(of_fraction_m, initial_m - (self._settings.positions[self.position].minimum_wall_m or 0.0))
 
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         """Return the condition ``thickness_low`` (priority high) after a reading; present by the k-of-n rule.
@@ -164,8 +166,6 @@ class PulseEchoAssessor:
         Its ``times_limit`` (loss divided by limit) is None for a bad or missing loss; lengths in the evidence
         are in m.
         """
-        fraction = self._settings.alarms.thickness_loss_fraction
-        initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
         alarm, reference = self.state.alarm, self.state.reference
         return Condition(
@@ -184,7 +184,7 @@ class PulseEchoAssessor:
                 "thickness_m": remaining_m,
                 "interval_m": None if remaining_m is None else [row.interval_low_m, row.interval_high_m],
                 "roughness_rms_m": reading.roughness_rms_m,
-                "limit_m": (1.0 - fraction) * initial_m,
+                "limit_m": self._settings.find_wall_limit_m(self.position),
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if reference is None else reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import list_instruments
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.schema import build_schema_with_kinds
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import PositionSettings, Settings
 from daq_service.web.auth.middleware import refuse_unprotected_service
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
@@ -139,6 +140,8 @@ def _print_plan(settings: Settings, facts: Mapping[str, Any]) -> None:
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
     _print_receivers(settings.notifications)
+    for warning in find_calibration_warnings(settings.positions):
+        click.echo(f"WARNING: {warning}; calibrate the sensor, then correct the date", err=True)
 
 
 def _print_baseline(settings: Settings, facts: Mapping[str, Any]) -> None:
@@ -172,6 +175,16 @@ def _print_receivers(notifications: NotificationSettings) -> None:
             read_address(name, receiver)
         except UsageError as error:
             click.echo(f"WARNING: {error}", err=True)
+
+
+def find_calibration_warnings(positions: Mapping[str, PositionSettings]) -> list[str]:
+    """Return a text for each sensor whose external calibration is overdue today (UTC)."""
+    today = datetime.now(UTC).date()
+    return [
+        f"positions.{name}.calibration.due_on = {place.calibration.due_on} is over"
+        for name, place in positions.items()
+        if place.calibration.is_overdue(today)
+    ]
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:

@@ -372,7 +372,7 @@ function showInfo() {
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
   byId("finish").hidden = !info.clock.can_finish_now || !isAllowed("finish_now");
-  tiles.setLimits(info.limits);
+  tiles.setLimits(info);
   showClock(info.as_of);
 }
 

@@ -20,7 +20,7 @@ tiles.onSelect = (position) => {
 
 const transducers = embeddedAnswer("/api/v1/transducers");
 if (transducers) {
-  tiles.setLimits(embeddedAnswer("/api/v1/info").limits);
+  tiles.setLimits(embeddedAnswer("/api/v1/info"));
   tiles.online = true;
   tiles.update(transducers);
 }

@@ -271,7 +271,7 @@ def _build_position_report(
         state=find_status(last),
         age_h=age_h,
         stale=is_data_stale(settings.schedule, fresh, age_h),
-        limit=find_limit(last, settings.thinnest_m),
+        limit=find_limit(last, settings.find_wall_limit_m(name)),
         values=catalogue.columns(kind, columns, **set_filters),
         assessments=assessments,
         states={state: states.count(state) for state in dict.fromkeys(states)},

@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import pytest
 from support.small_experiment import run, small_settings
 
+from daq_service.cli.doctor.command import run_checks
 from daq_service.cli.inspection import print_configuration
 from daq_service.errors import UsageError
 from daq_service.processes import disk_policy
+from daq_service.settings.file import load_settings
 
 NEEDS = "at least 15 are needed, 200 or more are advised"
 PLAYBACK = '[rig]\nkind = "playback"\n[rig.playback]\nsource = '
@@ -126,3 +128,15 @@ def test_a_recording_that_cannot_be_played_back_is_refused(tmp_path, source, mes
         assert run(settings.model_copy(update={"positions": kept}), tmp_path / "recording")
     (line,) = refusal(tmp_path, PLAYBACK + source)
     assert message in line
+
+
+@pytest.mark.parametrize(("due_on", "is_overdue"), [("2020-01-31", True), ("2999-01-31", False)])
+def test_an_overdue_calibration_causes_a_warning(tmp_path, capsys, due_on, is_overdue):
+    path, positions = tmp_path / "test.toml", '[positions.B]\nmethod = "solitary_wave"\n'
+    path.write_text(f"{positions}[positions.B.calibration]\ndue_on = {due_on}", encoding="utf-8")
+    print_configuration(config=path, data_dir=tmp_path / "data", schema=False, as_json=False)
+    warning = f"WARNING: positions.B.calibration.due_on = {due_on} is over; calibrate the sensor"
+    assert (warning in capsys.readouterr().err) is is_overdue
+    checks = run_checks(load_settings(path), tmp_path / "data", "", lambda step: None)
+    states = [check.state for check in checks if check.name == "sensors: calibration"]
+    assert states == ["warn" if is_overdue else "ok"]

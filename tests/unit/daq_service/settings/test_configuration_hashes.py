@@ -59,3 +59,13 @@ def test_the_shipped_twin_keeps_its_hash():
 
 def test_alarm_settings_are_part_of_the_hash():
     assert Settings().configuration_hash() != Settings(**BY_SETS).configuration_hash()
+
+
+def test_a_new_calibration_continues_a_folder_and_a_minimum_wall_begins_another_one():
+    def hash_of(**probe):
+        positions = {"A": {"method": "pulse_echo", **probe}}
+        return Settings(positions=positions).configuration_hash()
+
+    calibration = {"certificate": "7", "calibrated_on": "2026-01-15", "due_on": "2027-01-15"}
+    assert hash_of(calibration=calibration) == hash_of(minimum_wall_m=None) == hash_of()
+    assert hash_of(minimum_wall_m=5e-3) != hash_of()

@@ -1,6 +1,7 @@
 import json
 
 import pytest
+from pydantic import ValidationError
 
 from daq_service.errors import UsageError
 from daq_service.settings.file import find_config_file, load_settings, validate_settings
@@ -238,3 +239,22 @@ def test_a_file_with_the_key_storage_journal_loads_with_a_warning(tmp_path, capl
     path.write_text(text.replace("false", "true"), encoding="utf-8")
     assert "journal" not in load_settings(path).storage.model_dump()
     assert caplog.text == "", "what every folder of today holds"
+
+
+@pytest.mark.parametrize(
+    ("position", "problem"),
+    [
+        ({"method": "pulse_echo", "minimum_wall_m": 7e-3}, "minimum_wall_m = 0.007 must be below"),
+        ({"method": "solitary_wave", "minimum_wall_m": 5e-3}, "needs the method pulse_echo"),
+        (
+            {
+                "method": "solitary_wave",
+                "calibration": {"calibrated_on": "2026-01-02", "due_on": "2026-01-01"},
+            },
+            "due_on = 2026-01-01 precedes",
+        ),
+    ],
+)
+def test_contradicting_limits_and_dates_are_rejected(position, problem):
+    with pytest.raises(ValidationError, match=problem):
+        Settings(positions={"P": position})
