@@ -12,6 +12,8 @@ LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
 """Names of this machine for itself, and their addresses."""
 HostName = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$")]
 
+Origin = Annotated[str, Field(pattern=r"^https?://[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?(:[0-9]{1,5})?$")]
+
 
 def is_ip_address(text: str) -> bool:
     """Return whether a text is an IPv4 or IPv6 address; host names are not."""
@@ -34,6 +36,9 @@ class WebSettings(BaseModel):
     """TCP port; 0 takes a free one."""
     host_names: tuple[HostName, ...] = ()
     """Names by which browsers reach the service from elsewhere; requests for others are refused."""
+    embed_origins: tuple[Origin, ...] = ()
+    """Origins, such as `https://wiki.example.org`, whose pages may embed a panel and read the API; with
+    tokens, those of the same site only. None: no page may."""
     tls_certificate: str = ""
     """PEM file of the service's own certificate with its chain, relative to the configuration file."""
     tls_key: str = ""

@@ -505,7 +505,9 @@ Object.defineProperty(window, "solimonDashboard", {
   writable: false,
 });
 
-startSession(await waitForLogin());
+const session = await waitForLogin();
+// Another page could lead a click on an embedded one.
+startSession(address.view.embed ? { ...session, may: [] } : session);
 new Audit();
 data.feature = address.view.feature;
 data.span = address.span;
