@@ -113,7 +113,7 @@ def explain_overlap(available_ns: float, set_ns: int) -> str:
     if set_ns <= available_ns:
         return ""
     available_s, set_s = available_ns / NS_PER_S, set_ns / NS_PER_S
-    return f"it takes up to {set_s:.0f} s, and the next planned set is due in {max(available_s, 0.0):.0f} s"
+    return f"it takes up to {set_s:.0f} s, and the next scheduled set is due in {max(available_s, 0.0):.0f} s"
 
 
 def compute_longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:

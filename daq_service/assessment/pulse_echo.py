@@ -74,11 +74,6 @@ class PulseEchoAssessor:
         """Raise AssertionError, because a probe takes no confirmation sets."""
         raise AssertionError(f"{due} is no set of a striker")
 
-    @property
-    def not_assessed_reason(self) -> str:
-        """Return why no confirmation set is possible: a probe has no baseline."""
-        return "a probe has no baseline"
-
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
         """Return an empty result: an instrument that does not respond is an alarm of the rig."""
         del due, n_tried

@@ -10,6 +10,7 @@ import threading
 import webbrowser
 from collections.abc import Mapping
 from contextlib import suppress
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
@@ -17,6 +18,7 @@ import click
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten_output
 from daq_service.settings.foreign_text import PlainStream, escape_to_one_line
+from hardware_drivers.nanoseconds import NS_PER_S
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -224,6 +226,13 @@ class ProgressReport:
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
+
+    def _report_due(self, *, set_index: int, due_h: float, due_utc_ns: int, in_s: float) -> None:
+        """Print when the first set of this recorder is due: hour, UTC, and in how many minutes."""
+        utc = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
+        self._queue_line(
+            f"set {set_index} is due at hour {due_h:g}, {utc:%Y-%m-%d %H:%M} UTC, in {in_s / 60.0:.0f} min"
+        )
 
     def _report_waits(self, *, reason: str) -> None:
         """Print the reason why the recorder waits, in yellow."""

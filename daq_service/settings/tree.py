@@ -380,7 +380,7 @@ class Settings(BaseSettings):
     reads_environment: ClassVar[bool] = True
 
     name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
-    """Name of the experiment."""
+    """Name of the test."""
     site: str = Field(default="", max_length=200)
     """Where the test runs, for readers of its files; stored when the test is created."""
     clock: ClockSettings = ClockSettings()

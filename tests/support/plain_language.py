@@ -106,7 +106,7 @@ def list_table_texts(*names: str) -> Iterator[tuple[str, str]]:
 
 
 def list_printed_texts(folder: str) -> Iterator[tuple[str, str]]:
-    """List file and text of each string with three words or more in the code of a folder, without docstrings."""
+    """List file and text of each string of three words or more in the code of a folder; no docstrings."""
     for path in sorted((ROOT / folder).rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         docstrings = {

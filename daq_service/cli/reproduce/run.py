@@ -220,7 +220,7 @@ def _complete_item(
     if stop.is_set():
         raise _StoppedError
     if test is not None:
-        add_test_facts(run.facts, test)
+        add_test_facts(run.facts, test, _describe_origin(test))
     with mpl.rc_context(RULES):
         try:
             product = item.make(Material(evidence=test, results=results))
@@ -255,7 +255,8 @@ def _write_item(
         item=item,
         files=tuple(contents),
         png=pictures.get("png", b""),
-        table=product.tables.get("") if product.drawing is None else None,
+        table=product.tables.get("" if product.drawing is None else "detections"),
+        numbers={name: one.value for name, one in product.found.items() if one.value is not None},
         rows=compare_item(item.name, product.found, origin=origin),
         notes=product.notes,
     )

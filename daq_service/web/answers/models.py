@@ -59,7 +59,7 @@ def describe_files(*media_types: str) -> dict[int | str, dict[str, object]]:
 
 
 UNCHANGED: dict[int | str, dict[str, object]] = {
-    304: {"description": "The client's copy, named by If-None-Match, is the record."}
+    304: {"description": "The client's copy, named by If-None-Match, is this answer."}
 }
 
 

@@ -13,6 +13,7 @@ from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.states import PRIORITIES, describe_alarm, format_number
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
+from daq_service.settings.stored import remove_private_keys
 from daq_service.settings.tree import AlarmSettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from daq_service.web.templates import NOT_KNOWN, format_quantity, render_template
@@ -54,7 +55,9 @@ def render_report_page(
         enough_sets=ENOUGH_SETS,
         most_lines=MOST_LINES,
         most_alarms=MOST_ALARMS,
-        configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
+        configuration=json.dumps(
+            remove_private_keys(contents.experiment.configuration), indent=1, sort_keys=True
+        ),
         newest=lambda position: list(_list_newest(position, alarms)),
         baselines={row.position: row for row in contents.baselines.values() if row.state == "approved"},
         diagnosis=_find_newest_diagnosis,

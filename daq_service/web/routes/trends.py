@@ -7,9 +7,10 @@ from collections.abc import Collection, Sequence
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from numpy.typing import NDArray
 from pydantic import StringConstraints, WithJsonSchema
+from starlette.responses import Response
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
@@ -22,11 +23,13 @@ from daq_service.web.answers.models import (
     TREND_ASSESSMENTS,
     TREND_FIELDS,
     TREND_STANDARD_ERRORS,
+    UNCHANGED,
     Fit,
     Trend,
     describe_errors,
 )
 from daq_service.web.answers.problem import invalid
+from daq_service.web.answers.unchanged import check_ended_test
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
 from daq_service.web.tables.choice import Columns
@@ -84,21 +87,22 @@ def parse_fields(
     return chosen
 
 
-@router.get("/trends/{position}", response_model=Trend, responses=describe_errors(404, 503))
+@router.get("/trends/{position}", response_model=Trend, responses=UNCHANGED | describe_errors(404, 503))
 def get_trend(
+    request: Request,
     context: ContextOf,
     position: str,
     fields: Annotated[list[FieldName] | None, Query(max_length=50)] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
     points: Annotated[int, Query(ge=1, le=MOST_POINTS)] = POINTS,
-) -> JsonAnswer:
+) -> Response:
     """Return features or thickness with assessments by column, one entry per set or bin of sets.
 
     Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets. Its columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
     range has smaller bins, at last single sets. Standard errors are given by name only, for single sets.
-    An unknown position: 404; an unknown column: 422.
+    Once the test has ended, the answer has an ETag. An unknown position: 404; an unknown column: 422.
     """
     method = context.settings.positions[context.validate_position(position)].method
     field_list = None if fields is None else ",".join(fields)
@@ -107,6 +111,9 @@ def get_trend(
     chosen = parse_fields(method, field_list, known=known, extra=extra)
     last_h = find_last_hour(from_h, to_h)
     fresh = context.read_freshness()
+    headers, not_modified = check_ended_test(request, context.data_folder, fresh, is_dated=True)
+    if not_modified is not None:
+        return not_modified
     kind = METHODS[method].row
     set_bytes, bin_bytes = estimate_entry_bytes(chosen)
     binned = read_trend_bins(
@@ -134,7 +141,8 @@ def get_trend(
             "bin_sets": bin_sets,
             "columns": columns,
             "bins": bins_json,
-        }
+        },
+        headers=headers,
     )
 
 

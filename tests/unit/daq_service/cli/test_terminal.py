@@ -49,6 +49,13 @@ def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys):
     ]
 
 
+def test_the_first_due_set_is_printed_with_hour_utc_and_minutes(capsys):
+    log = Log()
+    with log.report:
+        log.after(0.0, "due", set_index=0, due_h=0.5, due_utc_ns=1_704_069_000_000_000_000, in_s=1799.6)
+    assert lines(capsys) == ["set 0 is due at hour 0.5, 2024-01-01 00:30 UTC, in 30 min"]
+
+
 def test_each_requested_action_is_one_line(capsys):
     log = Log()
     asked = {"text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0}

@@ -19,7 +19,10 @@ BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
 
 
 def shipped(folder, *, everything):
-    text = find_config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
+    text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
+    text = text.replace(f'name = "{PLACEHOLDER}"', f'name = "{Settings().name}"').replace(
+        PLACEHOLDER, "FFFFFFFF"
+    )
     path = folder / "laboratory.toml"
     path.write_text(uncomment_tables(text) if everything else text, encoding="utf-8")
     return load_settings(path, overrides=BY_SETS)
