@@ -28,25 +28,38 @@ def read_standard_errors(
     A set without a mean or with fewer than two values has None. Raises StorageError if the catalogue cannot
     be read.
     """
-    columns = catalogue.columns(FeatureRow, [*_COLUMNS, *names], **{**filters, "scope": None})
+    filters["scope"] = None
+    columns = catalogue.columns(FeatureRow, [*_COLUMNS, *names], **filters)
     rows = zip(*(columns[name] for name in (*_COLUMNS, *names)), strict=True)
     errors = {}
-    for (position, *numbers), group in groupby(rows, key=lambda row: row[:3]):
-        members, set_key = list(group), SetKey(*numbers)
+    for (position, set_index, unscheduled_index), group in groupby(rows, key=lambda row: row[:3]):
+        members = list(group)
         means = next((row[6:] for row in members if row[3] is None), [None] * len(names))
         shots = [row for row in members if row[3] is not None and row[5]]
         if len({row[3] for row in shots}) < len(shots):  # repeated: one record of the shot counts
-            of_set: Filters = {"position": position, **set_key._asdict()}
-            accepted = {
-                shot.sequence for shot in catalogue.rows(ShotRow, **of_set) if shot.outcome == "accepted"
-            }
+            stored = catalogue.rows(
+                ShotRow, position=position, set_index=set_index, unscheduled_index=unscheduled_index
+            )
+            accepted = {shot.sequence for shot in stored if shot.outcome == "accepted"}
             shots = [row for row in shots if row[4] in accepted]
         values = np.array([row[6:] for row in shots], dtype=float).reshape(-1, len(names))
-        errors[position, set_key] = {
+        errors[position, SetKey(set_index, unscheduled_index)] = {
             name: None if mean is None or math.isnan(error) else error
             for name, mean, error in zip(names, means, _compute_standard_errors(values), strict=True)
         }
     return errors
+
+
+def read_error_columns(
+    catalogue: Catalogue, names: Sequence[str], set_indices: Sequence[int], **filters: Unpack[Filters]
+) -> dict[str, list[float | None]]:
+    """Read ``standard_error_NAME`` of features of one position (a filter), one entry per scheduled set.
+
+    Raises StorageError if the catalogue cannot be read.
+    """
+    errors = read_standard_errors(catalogue, names, **filters)
+    of_sets = [errors.get((filters["position"] or "", SetKey(index)), {}) for index in set_indices]
+    return {f"standard_error_{name}": [found.get(name) for found in of_sets] for name in names}
 
 
 def _compute_standard_errors(values: NDArray[np.float64]) -> list[float]:

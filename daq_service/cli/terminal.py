@@ -38,7 +38,7 @@ MOST_HELD_LINES = 10_000
 
 def print_set_progress(done: int, total: int) -> None:
     """Rewrite one line of standard error with the progress of a reassessment; end it at the last set."""
-    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
+    click.echo(f"\r{done} of {total} sets ", nl=done == total, err=True)
 
 
 def create_console(stream: Literal["stdout", "stderr"]) -> Console:
@@ -209,11 +209,11 @@ class ProgressReport:
             self._queue_line(f"{what}: took {format_duration(took_s)}")
 
     def _report_progress(self, *, done: int, planned: int, due_h: float) -> None:
-        """Store the hour and number of the last set; without a terminal print it every `LOGGED_EVERY_S`.
+        """Store the hour and number of sets; without a terminal print them every `LOGGED_EVERY_S`.
 
         The last planned set is always printed.
         """
-        self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
+        self._progress = f"hour {due_h:.1f}, {done} of {planned} sets"
         if self._gap is not None and done - 1 > self._gap[2]:
             self._print_gap_end()
         now_s = self._machine.mono_s()
@@ -242,7 +242,7 @@ class ProgressReport:
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
         """Print a request to the person at the rig, with the time to act and the shot, if any."""
-        shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
+        shot = "" if shot_index is None else f" (position {position}, shot {shot_index})"
         self._queue_line(f"{text}{shot}: within {format_duration(within_s)}", style="bold")
 
     def _report_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:

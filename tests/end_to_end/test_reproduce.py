@@ -576,7 +576,7 @@ def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(tmp_path, monke
     assert {"solimon", "numpy", "matplotlib", "python"} <= set(result["versions"])
     assert 0.0 < result["elapsed_s"] < LIMIT_S
     assert result["data_dir"] == str(out / "data")
-    assert "set 2 of 2" in done.stderr
+    assert "2 of 2 sets" in done.stderr
     assert len(set_files(out / "data")) == 2
     again = command("--only", "fig8", "--seed", "5")
     assert again.returncode == 0, again.stderr

@@ -175,7 +175,7 @@ def _run_and_read_test(settings: Settings, folder: Path, stop: threading.Event, 
         tenth = 10 * done // max(planned, 1)
         if tenth > last_tenth:
             last_tenth = tenth
-            report(f"test: hour {due_h:g}, set {done} of {planned}")
+            report(f"test: hour {due_h:g}, {done} of {planned} sets")
 
     if not run_twin_test(settings, folder, stop=stop, progress=progress):
         raise _StoppedError

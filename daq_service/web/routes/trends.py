@@ -16,7 +16,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rollups import QUALITIES, Kind, list_bin_value_names
 from daq_service.catalogue.rows import AssessmentRow
-from daq_service.catalogue.standard_errors import read_standard_errors
+from daq_service.catalogue.standard_errors import read_error_columns
 from daq_service.catalogue.trends import compute_trend_part, read_trend_bins
 from daq_service.web.answers.json_answer import JsonAnswer, format_hours_as_rfc3339
 from daq_service.web.answers.models import (
@@ -33,7 +33,6 @@ from daq_service.web.answers.unchanged import check_ended_test
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
 from daq_service.web.tables.choice import Columns
-from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["trends"])
@@ -193,14 +192,9 @@ def read_trend_columns(
         for name in assessment_names:
             values = assessments[name]
             columns[name] = [None if row is None else values[row] for row in rows]
-    error_names = {column: name for column, name in STANDARD_ERRORS.items() if column in fields}
-    if error_names:
-        found = read_standard_errors(
-            context.catalogue(), [*error_names.values()], position=position, first_h=from_h, last_h=last_h
-        )
-        for column, name in error_names.items():
-            errors = (found.get((position, SetKey(index)), {}) for index in columns["set_index"])
-            columns[column] = [of_set.get(name) for of_set in errors]
+    if names := [name for column, name in STANDARD_ERRORS.items() if column in fields]:
+        filters: Filters = {"position": position, "first_h": from_h, "last_h": last_h}
+        columns |= read_error_columns(context.catalogue(), names, columns["set_index"], **filters)
     return columns
 
 

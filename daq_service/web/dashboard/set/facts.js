@@ -166,7 +166,7 @@ export function shots({ shots: rows, shotFeatures }, units, chosen, choose) {
       disabled: !accepted,
       "aria-pressed": String(pressed),
       "data-shot": String(shot.shot_index),
-      text: `${shot.shot_index + 1}${shot.attempt ? `, attempt ${shot.attempt + 1}` : ""}`,
+      text: `${shot.shot_index}${shot.attempt ? `, repetition ${shot.attempt}` : ""}`,
     });
     button.addEventListener("click", () => choose(pressed ? null : shot.shot_index));
     const row = el(
