@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, cast
 
 Kind = Literal["input", "arithmetic", "given", "predicted"]
 
@@ -55,10 +55,12 @@ class PaperValue:
         return (min(numbers), max(numbers)) if self.repeats else None
 
 
-def _parse_paper_value(value: str, **texts: Any) -> PaperValue:
+def _parse_paper_value(value: str, kind: str, **texts: str) -> PaperValue:
     """Parse a row of the file of the paper's values; the digits after the point give ``decimals``."""
     decimals = len(value.partition(".")[2])
-    return PaperValue(value=float(value) if value else None, decimals=decimals, **texts)
+    return PaperValue(
+        value=float(value) if value else None, decimals=decimals, kind=cast("Kind", kind), **texts
+    )
 
 
 with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as _file:
