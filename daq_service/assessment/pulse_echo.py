@@ -44,6 +44,12 @@ class PulseEchoAssessor:
         self.position = position
         self._settings = settings
         self.initial_thickness_m = settings.ultrasound.initial_thickness_m
+        # A reading counts for the alarm by the larger limit: of the loss, or of the remaining wall.
+        self._wall_limit_m = settings.find_wall_limit_m(position)
+        self._limit_loss_m = min(
+            settings.alarms.thickness_loss_fraction * self.initial_thickness_m,
+            self.initial_thickness_m - (settings.positions[position].minimum_wall_m or 0.0),
+        )
         self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
         self.state = PulseEchoState()
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
@@ -153,13 +159,6 @@ class PulseEchoAssessor:
             return None
         return loss_m > self._limit_loss_m
 
-    @property
-    def _limit_loss_m(self) -> float:
-        """Return the thickness loss above which a reading counts for the alarm, m, by the larger limit."""
-        initial_m = self._settings.ultrasound.initial_thickness_m
-        of_fraction_m = self._settings.alarms.thickness_loss_fraction * initial_m
-        return min(of_fraction_m, initial_m - (self._settings.positions[self.position].minimum_wall_m or 0.0))
-
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         """Return the condition ``thickness_low`` (priority high) after a reading; present by the k-of-n rule.
 
@@ -184,7 +183,7 @@ class PulseEchoAssessor:
                 "thickness_m": remaining_m,
                 "interval_m": None if remaining_m is None else [row.interval_low_m, row.interval_high_m],
                 "roughness_rms_m": reading.roughness_rms_m,
-                "limit_m": self._settings.find_wall_limit_m(self.position),
+                "limit_m": self._wall_limit_m,
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if reference is None else reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,

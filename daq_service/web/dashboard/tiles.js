@@ -283,6 +283,7 @@ export class Tiles {
     const row = state.last_thickness;
     const initial =
       row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
+    const assumed = this.info?.probe_delay_is_assumed ? ", assumed" : "";
     const lost = initial ? `, ${fixed((100 * row.thickness_loss_m) / initial, 0)} %` : "";
     const [low, high] = [row?.interval_low_m ?? null, row?.interval_high_m ?? null];
     const interval =
@@ -293,7 +294,7 @@ export class Tiles {
       ["Wall loss", `${quantity(row?.thickness_loss_m, 1e3, 2, "mm")}${lost}`],
       ["Limit", quantity(this.minimumWall(state.position), 1e3, 2, "mm")],
       ["Travel time", quantity(row?.travel_time_s, 1e6, 3, "µs")],
-      ["Probe delay", quantity(this.info?.probe_delay_s, 1e6, 2, "µs") + (this.info?.probe_delay_is_assumed ? ", assumed" : "")],
+      ["Probe delay", `${quantity(this.info?.probe_delay_s, 1e6, 2, "µs")}${assumed}`],
       ["Quality", row?.quality ?? NONE],
     ]);
   }

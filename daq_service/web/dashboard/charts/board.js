@@ -217,7 +217,7 @@ export class Board {
         onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       const errors = columns[k][`standard_error_${field}`];
-      const beside = (/** @type {number} */ times) =>
+      const shifted = (/** @type {number} */ times) =>
         inUnit(
           columns[k][field].map((/** @type {number | null} */ value, /** @type {number} */ row) =>
             value === null || errors[row] === null ? null : value + times * errors[row],
@@ -248,7 +248,7 @@ export class Board {
         ...(trends[k].bins?.minimum[field]
           ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }
           : errors
-            ? { low: beside(-1), high: beside(1) }
+            ? { low: shifted(-1), high: shifted(1) }
             : {}),
         quality: onAxis(columns[k].quality, rows[k]),
       });
