@@ -96,7 +96,7 @@ def find_rejection_reason(
     n_recent = count_requests(position, requests, at_h)
     if n_recent >= maximum_per_day:
         return (
-            f"{n_recent} of {maximum_per_day} confirmation sets a day are used "
+            f"{n_recent} of {maximum_per_day} confirmation sets per day are used "
             "(alarms.confirmation_sets_a_day)"
         )
     return explain_overlap(available_ns, set_ns)

@@ -111,7 +111,7 @@ def list_settings_differences(stored: Mapping[str, object], given: Settings) -> 
         then = flatten(known.measured())
     except ValidationError as error:
         messages |= {
-            _format_error_path(problem["loc"]): f"{problem['msg']}, says this version"
+            _format_error_path(problem["loc"]): f"{problem['msg']} in this version"
             for problem in error.errors()
         }
     else:

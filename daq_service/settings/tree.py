@@ -499,10 +499,10 @@ class Settings(BaseSettings):
         if takes_s > FILLED_AT_MOST * shortest_s:
             raise ValueError(
                 f"sets overlap: {transducers} transducers, schedule.shots_per_set = "
-                f"{self.schedule.shots_per_set} strikes of each every schedule.shot_interval_s = "
-                f"{self.schedule.shot_interval_s:g} s take {takes_s:g} s, and a phase of the schedule has "
-                f"one due every {shortest_s:g} s, of which {1.0 - FILLED_AT_MOST:.0%} is left to reading the "
-                "last record and storing; take a longer interval_h or fewer strikes"
+                f"{self.schedule.shots_per_set} strikes each, one per schedule.shot_interval_s = "
+                f"{self.schedule.shot_interval_s:g} s, take {takes_s:g} s. A phase of the schedule has "
+                f"one due every {shortest_s:g} s, of which {1.0 - FILLED_AT_MOST:.0%} is left to read the "
+                "last record and store it. Choose a longer interval_h or fewer strikes"
             )
 
     def _check_wiring(self) -> None:

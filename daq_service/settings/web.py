@@ -73,14 +73,14 @@ class WebSettings(BaseModel):
             if self.host in LOOPBACK:
                 what = f"web.host_names is {json.dumps(self.host_names)}"
             raise ValueError(
-                f"{what}: other computers shall reach the service, so tokens and measurements must travel "
-                "encrypted; set web.tls_certificate and web.tls_key, or web.proxy to the address of a proxy "
-                f"that terminates TLS; or keep to this machine ({', '.join(LOOPBACK)})"
+                f"{what}: other computers can reach the service, so tokens and measurements must be "
+                "encrypted. Set web.tls_certificate and web.tls_key, or web.proxy to the address of a proxy "
+                f"that terminates TLS, or serve only this computer ({', '.join(LOOPBACK)})"
             )
         if self.is_reachable and not self.names_elsewhere:
             raise ValueError(
-                "no name is given by which others reach the service; say in web.host_names how browsers call "
-                'this computer, for example ["lab.example.org"]'
+                "web.host_names names no host, though other computers can reach the service. Add the names "
+                'by which browsers reach this computer, for example ["lab.example.org"]'
             )
         return self
 

@@ -156,7 +156,7 @@ def run_rig_checks(
                 for finding in item.kind.check(item.parameters, build_opening(item, settings, clock)):
                     yield build_finding_check(finding, instrument)
             except InstrumentError as error:
-                yield build_error_check(name, error, "see what its maker says of it")
+                yield build_error_check(name, error, "see the manufacturer's manual")
 
 
 def _build_skipped_check(name: str, found: str, remedy: str) -> Check:

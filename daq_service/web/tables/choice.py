@@ -92,8 +92,7 @@ class Choice:
         if self.purpose != "planned" and not TABLES[self.table].unscheduled_set:
             other_tables = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
             raise UsageError(
-                f"the table {self.table} has no sets beside the plan, {other_tables} have; leave the purpose "
-                "out"
+                f"the table {self.table} has no unscheduled sets, {other_tables} have; leave the purpose out"
             )
         if self.from_h is not None and self.to_h is not None and self.to_h < self.from_h:
             raise UsageError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")

@@ -70,7 +70,7 @@ export function features({ feature, assessment }, units) {
       );
     });
   const caption =
-    `${feature.n_valid === undefined ? "Of the waveform" : `Mean of ${feature.n_valid} valid shots`}, ` +
+    `${feature.n_valid === undefined ? "One waveform" : `Mean of ${feature.n_valid} valid shots`}, ` +
     `quality ${feature.quality}; the last column is each feature's contribution to D²`;
   return section("Features", table(caption, ["Feature", "Value", "Contribution to D²"], rows));
 }
