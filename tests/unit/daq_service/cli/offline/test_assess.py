@@ -322,8 +322,8 @@ def test_words_for_missing_values_are_recognized_and_unnamed_columns_skipped(tmp
 
 def test_arguments_without_a_baseline_are_rejected(tables):
     path = tables[".csv"]
-    assert "say what is the baseline" in rejection_message(path)
-    assert "say what is the baseline" in rejection_message(
+    assert "the baseline is not given" in rejection_message(path)
+    assert "the baseline is not given" in rejection_message(
         path, "--baseline-rows", 3, "--baseline-where", "a=b"
     )
     assert "COLUMN=VALUE" in rejection_message(path, "--baseline-where", "part")
