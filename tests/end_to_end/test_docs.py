@@ -9,6 +9,7 @@ import time
 import tomllib
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import click
 import orjson
@@ -123,6 +124,7 @@ PARSERS = {
     "html": ElementTree.fromstring,
     "json": orjson.loads,
     "yaml": parse_yaml,
+    "html": ElementTree.fromstring,
     "sh": parse_shell,
     "console": parse_shell,
     "matlab": None,  # its names are compared with files (`test_docs_of_a_laboratory.py`)
