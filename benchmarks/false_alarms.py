@@ -3,9 +3,9 @@
     python benchmarks/false_alarms.py [--runs N] [--json]
 
 For baselines of 48 and 200 sets: the rate of the default limit (nominal .27 %), the alarms of the default
-chart in five years (24 sets a day, a budget of one), and how often it says that its rate is not promised; the
-median delay to a slow change; how often bad sets of a baseline are named, and healthy ones. Next to them the
-paper's limit and the plain F limit on the same sequences. About ten minutes on two cores with 100 runs.
+chart in five years (24 sets per day, a budget of one), and how often it says that its rate is not promised;
+the median delay to a slow change; how often bad sets of a baseline are named, and healthy ones. Next to them
+the paper's limit and the plain F limit on the same sequences. About ten minutes on two cores with 100 runs.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
     if name not in known:
         raise ConfigurationError(
             f"no installed package offers the kind {name!r}; there are: "
-            f"{_format_kind_names(known.values())}; install the package that offers it beside solimon "
+            f"{_format_kind_names(known.values())}; install the package that offers it next to solimon "
             "(python -m pip install PACKAGE), or correct the name"
         )
     return known[name].load(), known[name]

@@ -11,7 +11,7 @@ from analysis.statistics.baseline_check import Anomaly, find_anomalies
 GOOD_SETS = 200
 """From this number on, the chart has its full sensitivity and slow drift is measurable."""
 
-ALIKE = "a feature is the same in most of its sets: what stands out of them cannot be told"
+ALIKE = "a feature is the same in most of its sets: anomalies among them cannot be found"
 
 
 def advise_on_baseline(n_sets: int) -> str | None:

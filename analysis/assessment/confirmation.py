@@ -11,7 +11,7 @@ from analysis.statistics.baseline import Baseline
 from analysis.statistics.distance import distance_squared
 
 ALARM = "the change of the wall became an alarm with it"
-STEP = "it is the first set beyond the limit"
+STEP = "it is the first set above the limit"
 
 
 def explain_confirmation_request(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:

@@ -199,5 +199,5 @@ def _list_warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
     if n < ADVISED_SETS:
         warnings.append(f"baseline of {n} sets, {ADVISED_SETS} advised: the false-alarm rate is uncertain")
     if suspects:
-        warnings.append(f"sets {list(suspects)} stand out of the baseline: inspect them")
+        warnings.append(f"sets {list(suspects)} are anomalies of the baseline: inspect them")
     return tuple(warnings)

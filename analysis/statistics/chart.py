@@ -2,8 +2,8 @@
 
 Each set is freed of what it owes to the one before (`directions`), whitened, cut back to the radius that a
 healthy set passes once in a hundred (so that one rogue set cannot alarm alone), and averaged (`mewma`). The
-limit keeps to a budget of false alarms. A short baseline cannot show slow memory: it is taken to be larger
-than found. Whatever linear mixture of them the features are, the chart is the same.
+limit keeps to a budget of false alarms. A short baseline cannot show slow drift: its autocorrelation is taken
+to be larger than found. Any linear mixture of the features gives the same chart.
 """
 
 from __future__ import annotations
@@ -187,11 +187,11 @@ def explain_unverified_rate(baseline: ArrayLike) -> str:
     complete = np.isfinite(x).all(axis=1)
     n = int(complete.sum())
     if n < ENOUGH_SETS:
-        return f"{n} sets cannot show slow memory; {ENOUGH_SETS} and more can: extend the baseline"
+        return f"{n} sets, {ENOUGH_SETS} needed"
     if compute_trend_p_value(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
         return "the baseline has a trend: find its cause, or record another"
     if compute_slow_drift_p_value(_whiten_without_lag_1(x)[complete]) < SLOW_RATE:
-        return "the baseline wanders more slowly than its memory from set to set explains: find the cause"
+        return "the baseline has slow drift, which its lag-1 autocorrelation does not explain: find the cause"
     return ""
 
 

@@ -74,7 +74,7 @@ def _chi_square_limit(facts: Facts) -> float:
 
 
 PAPER_RATE = (
-    "of healthy sets of five features 13 % lie beyond it with 24 baseline sets, 5 % with 48 and 2 % with "
+    "of healthy sets of five features 13 % exceed it with 24 baseline sets, 5 % with 48 and 2 % with "
     "200, where 0.27 % was meant"
 )
 """Measured on simulated sets by `tests/validation/test_false_alarm_limits.py`."""
@@ -103,7 +103,7 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
             ),
         ),
         "phase_one": NamedLimit(
-            words="the screen of the baseline's own sets: 5 % of healthy baselines have one beyond",
+            words="the screen of the baseline's own sets: 5 % of healthy baselines have one above it",
             of=DISTANCE,
             value=lambda facts: facts.baseline.suspect_limit,
         ),

@@ -205,7 +205,7 @@ def find_reference_echo(
     noise_v = float(np.median(envelope)) / 1.18
     if not first < peak < last or envelope[peak] < 6.0 * noise_v or envelope[peak] <= 0.0:
         raise EchoNotFoundError(
-            f"no back-wall echo stands out within {tolerance_fraction:.0%} of the round trip around "
+            f"no back-wall echo above the noise within {tolerance_fraction:.0%} of the round trip around "
             f"{expected_s * 1e6:.2f} us (largest {envelope[peak]:.3g} V, noise {noise_v:.3g} V): check the "
             "coupling, gain, delay_s, initial_thickness_m and velocity_m_per_s"
         )

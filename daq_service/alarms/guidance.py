@@ -1,7 +1,4 @@
-"""Guidance for each kind of alarm: one table for the page, the API and the how-to.
-
-`docs/how-to/respond-to-an-alarm.md` shows `format_guidance_markdown`; a test compares.
-"""
+"""Guidance for each kind of alarm: one table for page, API, report and documentation."""
 
 from __future__ import annotations
 
@@ -61,23 +58,3 @@ def name_contact(kind: str, contacts: Mapping[str, str] = MappingProxyType({})) 
 def join_numbered_steps(steps: Sequence[str]) -> str:
     """Join steps, numbered from 1, to one text; empty for no steps."""
     return " ".join(f"{number}. {step}" for number, step in enumerate(steps, start=1))
-
-
-def format_guidance_markdown() -> str:
-    """Return the guidance on all kinds of alarm as a Markdown table, one row per kind, as in `GUIDANCE`."""
-    lines = [
-        "| Kind | Meaning | Limitations | Checks, in this order | Action | If nobody responds | Contact |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for kind, guidance in GUIDANCE.items():
-        cells = (
-            f"`{kind}`",
-            guidance.meaning,
-            guidance.limitations,
-            join_numbered_steps(guidance.checks),
-            guidance.action.replace("{position}", "the position"),
-            guidance.consequence,
-            name_contact(kind),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"

@@ -336,8 +336,10 @@ def fill_text(template: str, values: Evidence, *, missing: str = "") -> str:
 
 
 def format_model_probability(probability: float) -> str:
-    """Format a probability of the diagnosis model: "model: 97 %", rounded down, at most "> 99 %"."""
-    return "model: > 99 %" if probability > 0.99 else f"model: {math.floor(100.0 * probability):d} %"
+    """Format a probability of the diagnosis model: "model: 97 %", rounded down, "< 1 %" to "> 99 %"."""
+    if probability > 0.99:
+        return "model: > 99 %"
+    return f"model: {math.floor(100.0 * probability):d} %" if probability >= 0.01 else "model: < 1 %"
 
 
 def format_number(value: float) -> str:

@@ -4,7 +4,8 @@
 
     / NXroot            @default=entry @creator @solimon_format_version
     /entry NXentry      @default=preview, title, start_time, experiment_identifier, ..., purpose, due_h, ...
-      instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
+      instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth);
+                              attributes sensor_*: external calibration of the sensor
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
       truth                   NXcollection: true values of each record of a simulated rig (absent: none)
@@ -188,7 +189,9 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
         waveform = group.waveform
         calibration = waveform.calibration
         scale, offset = _compute_nexus_scale(waveform)
-        detector = add_group(instrument, group.name, "NXdetector", {"position": group.position})
+        about_sensor = _list_sensor_calibration(record.provenance, group.position)
+        about = {"position": group.position, **about_sensor}
+        detector = add_group(instrument, group.name, "NXdetector", about)
         add_field(detector, "serial_number", serial_numbers[group.position])
         add_field(detector, "sample_rate", np.float64(waveform.sample_rate_hz), units="Hz")
         add_field(detector, "pretrigger_samples", np.int64(waveform.pretrigger_samples))
@@ -206,6 +209,13 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
         add_field(detector, "calibration_date", calibration.date)
         add_field(detector, "scaling_factor", np.float64(scale), units="V")
         add_field(detector, "offset", np.float64(offset))
+
+
+def _list_sensor_calibration(provenance: Mapping[str, Any], position: str) -> dict[str, Any]:
+    """List the known values of a sensor's external calibration in the stored configuration, as attributes."""
+    place = provenance.get("configuration", {}).get("positions", {}).get(position, {})
+    calibration = place.get("calibration", {}).items()
+    return {f"sensor_{name}": value for name, value in calibration if value not in (None, "")}
 
 
 def _compute_nexus_scale(waveform: Waveform) -> tuple[float, float]:

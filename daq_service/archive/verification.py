@@ -125,7 +125,7 @@ def _list_contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
     except HDF5_ERRORS as error:
         return [f"the structure of the file is damaged ({error})"]
     return [
-        f"{name} is not what the rest of the file says"
+        f"{name} does not match the rest of the file"
         for name in sorted({*values, *expected_values} if same_format else values)
         if not _equals(name, values, expected_values, same_format=same_format)
     ]

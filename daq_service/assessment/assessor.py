@@ -107,11 +107,6 @@ class Assessor(Protocol):
         """
         ...
 
-    @property
-    def not_assessed_reason(self) -> str:
-        """Return why sets of this position cannot be compared with a baseline; empty if they can."""
-        ...
-
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
         """Assess a scheduled set without any record at this position and update the state.
 

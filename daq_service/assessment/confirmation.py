@@ -96,7 +96,7 @@ def find_rejection_reason(
     n_recent = count_requests(position, requests, at_h)
     if n_recent >= maximum_per_day:
         return (
-            f"{n_recent} of {maximum_per_day} confirmation sets a day are used "
+            f"{n_recent} of {maximum_per_day} confirmation sets per day are used "
             "(alarms.confirmation_sets_a_day)"
         )
     return explain_overlap(available_ns, set_ns)
@@ -113,7 +113,7 @@ def explain_overlap(available_ns: float, set_ns: int) -> str:
     if set_ns <= available_ns:
         return ""
     available_s, set_s = available_ns / NS_PER_S, set_ns / NS_PER_S
-    return f"it takes up to {set_s:.0f} s, and the next planned set is due in {max(available_s, 0.0):.0f} s"
+    return f"it takes up to {set_s:.0f} s, and the next scheduled set is due in {max(available_s, 0.0):.0f} s"
 
 
 def compute_longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:

@@ -86,5 +86,5 @@ def _restore_reference(assessor: PulseEchoAssessor, stored: StoredResult, readin
         if assessor.lost is None and reading.travel_time_s is not None:
             assessor.lost = reading, unreadable
         return
-    log.warning("set %d stands in for the reference of %s: %s", reading.set_index, assessor.position, error)
+    log.warning("set %d replaces the reference of %s: %s", reading.set_index, assessor.position, error)
     assessor.set_reference(substitute)

@@ -77,18 +77,18 @@ def read_latest_rows(
     }
 
 
-def find_limit(last: LatestRows, thinnest_m: float) -> float | None:
+def find_limit(last: LatestRows, wall_limit_m: float) -> float | None:
     """Return a position's limit: minimum thickness of a probe in m, or the chosen limit of a transducer.
 
     None for a transducer without an assessment, or whose assessment has no limit.
 
     Parameters
     ----------
-    thinnest_m
-        Minimum thickness of the configuration, m.
+    wall_limit_m
+        Minimum thickness of the position by the configuration, m.
     """
     if not METHODS[last.method].has_baseline:
-        return thinnest_m
+        return wall_limit_m
     assessment = last.last_assessment
     if assessment is None:
         return None

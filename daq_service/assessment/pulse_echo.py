@@ -44,6 +44,12 @@ class PulseEchoAssessor:
         self.position = position
         self._settings = settings
         self.initial_thickness_m = settings.ultrasound.initial_thickness_m
+        # A reading counts for the alarm by the larger limit: of the loss, or of the remaining wall.
+        self._wall_limit_m = settings.find_wall_limit_m(position)
+        self._limit_loss_m = min(
+            settings.alarms.thickness_loss_fraction * self.initial_thickness_m,
+            self.initial_thickness_m - (settings.positions[position].minimum_wall_m or 0.0),
+        )
         self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
         self.state = PulseEchoState()
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
@@ -73,11 +79,6 @@ class PulseEchoAssessor:
     ) -> PositionResult:
         """Raise AssertionError, because a probe takes no confirmation sets."""
         raise AssertionError(f"{due} is no set of a striker")
-
-    @property
-    def not_assessed_reason(self) -> str:
-        """Return why no confirmation set is possible: a probe has no baseline."""
-        return "a probe has no baseline"
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
         """Return an empty result: an instrument that does not respond is an alarm of the rig."""
@@ -158,19 +159,12 @@ class PulseEchoAssessor:
             return None
         return loss_m > self._limit_loss_m
 
-    @property
-    def _limit_loss_m(self) -> float:
-        """Return the thickness loss above which a reading counts for the alarm, m."""
-        return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
-
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         """Return the condition ``thickness_low`` (priority high) after a reading; present by the k-of-n rule.
 
         Its ``times_limit`` (loss divided by limit) is None for a bad or missing loss; lengths in the evidence
         are in m.
         """
-        fraction = self._settings.alarms.thickness_loss_fraction
-        initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
         alarm, reference = self.state.alarm, self.state.reference
         return Condition(
@@ -189,7 +183,7 @@ class PulseEchoAssessor:
                 "thickness_m": remaining_m,
                 "interval_m": None if remaining_m is None else [row.interval_low_m, row.interval_high_m],
                 "roughness_rms_m": reading.roughness_rms_m,
-                "limit_m": (1.0 - fraction) * initial_m,
+                "limit_m": self._wall_limit_m,
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if reference is None else reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,

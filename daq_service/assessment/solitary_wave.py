@@ -171,9 +171,7 @@ class SolitaryWaveAssessor:
                 build_no_reflection_condition(
                     self.position, due, self.state, self.rules.hole, set_of_shots.flags
                 ),
-                build_not_assessed_condition(
-                    self.position, due, self.state, self._baseline_id, self.not_assessed_reason
-                ),
+                build_not_assessed_condition(self.position, due, self.state, self._baseline_id),
             ],
             suspicion=explain_confirmation_request(before, self.state, assessment, self.rules),
         )
@@ -183,13 +181,15 @@ class SolitaryWaveAssessor:
     ) -> PositionResult:
         """Assess an unscheduled set; it may change the diagnosis state, but never control chart and baseline.
 
-        Before the baseline is complete the result has features, but no assessment; it never has conditions.
+        Before the baseline is complete the assessment has only a reason. The result never has conditions.
         """
         shots = [shot for shot in record.shots if shot.key.position == self.position]
         combined = self._average_valid(shots, [features[shot.sequence] for shot in shots], record.outcomes)
         result = self._build_shot_results(due, combined)
         if self.state.baseline is None:
-            return result
+            assessment = SetAssessment(in_baseline=False, reason="no baseline yet")
+            row = self._build_assessment_row(due.set_index, due.due_h, assessment, due.unscheduled_index)
+            return replace(result, assessments=[row])
         set_of_shots = combined.to_set_of_shots(due.set_index, due.due_h, record.n_tried(self.position))
         assessment = assess_without_charts(set_of_shots, self.state.baseline, self.rules)
         vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
@@ -213,13 +213,6 @@ class SolitaryWaveAssessor:
         )
         self.state = replace(self.state, diagnosis_state=diagnosis_state)
         return diagnosis
-
-    @property
-    def not_assessed_reason(self) -> str:
-        """Return why sets cannot be compared with a baseline that has limits; empty if they can."""
-        if self.state.baseline is None:
-            return "it has no baseline yet; wait until it is recorded"
-        return self.state.baseline.reason or ""
 
     def _average_valid(
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
@@ -547,16 +540,12 @@ def build_transducer_conditions(
     return [few_valid_shots, disabled]
 
 
-def build_not_assessed_condition(
-    position: str, due: DueSet, state: State, baseline_id: int, reason: str
-) -> Condition:
+def build_not_assessed_condition(position: str, due: DueSet, state: State, baseline_id: int) -> Condition:
     """Return the condition ``not_assessed`` (medium): present if the baseline is complete, but has no limits.
 
-    Parameters
-    ----------
-    reason
-        Why it has none (`SolitaryWaveAssessor.not_assessed_reason`), for the evidence.
+    Its evidence has the reason.
     """
+    reason = "" if state.baseline is None else state.baseline.reason
     return Condition(
         position=position,
         kind="not_assessed",

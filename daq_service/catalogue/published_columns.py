@@ -11,7 +11,15 @@ from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
 from analysis.diagnosis.hypotheses import CAUSES, OK
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, Row, list_columns
+from daq_service.catalogue.rows import (
+    MEASURED,
+    AlarmRow,
+    AssessmentRow,
+    BaselineRow,
+    FeatureRow,
+    Row,
+    list_columns,
+)
 from hardware_drivers.units import find_unit
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
@@ -38,6 +46,7 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
         PublishedColumn(name="to_utc", form="time", unit="", nullable=False),
         PublishedColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
     ),
+    FeatureRow: (PublishedColumn(name="standard_error", form="nested", unit="", nullable=True),),
     AssessmentRow: (PublishedColumn(name="quality", form="text", unit="", nullable=True),),
     AlarmRow: (
         PublishedColumn(name="headline", form="text", unit="", nullable=False),
@@ -46,12 +55,16 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
         PublishedColumn(name="evidence_sentences", form="nested", unit="", nullable=False),
     ),
 }
-"""Columns that the service adds: hours and temperatures of a baseline, assessed quality, alarm texts."""
+"""Columns that the service adds: hours and temperatures of a baseline, assessed quality, alarm texts.
+
+Standard errors of features are those of the means of sets, None for a single shot."""
 
 
 def _build_part(name: str, form: Form = "number") -> PublishedColumn:
-    """Create the published column for a part of a nested value: nullable, without unit."""
-    return PublishedColumn(name=name, form=form, unit="", nullable=True)
+    """Create the published column for a part of a nested value: nullable, a number's unit by its name."""
+    return PublishedColumn(
+        name=name, form=form, unit=find_unit(name) if form == "number" else "", nullable=True
+    )
 
 
 PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
@@ -62,6 +75,9 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
         ("baseline_quality", "rate_not_verified_reason"): _build_part("rate_not_verified_reason", "text"),
         ("limits", "mewma"): _build_part("mewma_limit"),
         ("limits", "default"): _build_part("limit_default"),
+    },
+    FeatureRow: {
+        ("standard_error", name): _build_part(f"standard_error_{name}") for name in MEASURED[FeatureRow]
     },
     AssessmentRow: {
         ("limits", "mewma"): _build_part("mewma_limit"),

@@ -312,7 +312,7 @@ class Catalogue:
         row = self._read_newest_row(ExperimentRow)
         if row is None:
             raise NoDataYetError(
-                f"{self._path}: the experiment has not begun; start `solimon record` or wait for it",
+                f"{self._path}: the test has not started; start `solimon record` or wait for it",
                 self._path.parent,
             )
         return row

@@ -239,7 +239,7 @@ class AssessmentRow(RowOfSet):
     baseline_id: Annotated[int | None, "Baseline of the assessment; null: none"] = None
     in_baseline: Annotated[bool, "The set belongs to the baseline"]
     distance_squared: Annotated[float | None, "Squared Mahalanobis distance from the baseline"] = None
-    limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
+    limit_name: Annotated[str, "The limit above which the set is an outlier"]
     limit_f_predictive: Annotated[
         float | None, "Predictive F limit of `distance_squared`; null: none yet"
     ] = None

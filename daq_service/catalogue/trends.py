@@ -67,7 +67,7 @@ def find_trend_differences(connection: Connection) -> Iterator[str]:
         n_expected += len(expected)
         for key in sorted(expected.keys() | stored.keys()):
             if stored.get(key) != expected.get(key):
-                yield f"trend block {key} is not what the rows of its sets say"
+                yield f"trend block {key} does not match the rows of its sets"
     n_found = connection.execute(select(func.count()).select_from(trend_blocks)).scalar_one()
     if n_found != n_expected:
         yield f"there are {n_found} trend blocks, of {n_expected} that the sets have"

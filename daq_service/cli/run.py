@@ -46,11 +46,11 @@ from daq_service.processes.data_folder import (
 )
 from daq_service.processes.disk_policy import disk_space, refusal
 from daq_service.processes.heartbeat import Heartbeat, create_web_beat
-from daq_service.processes.installation import require_extras
 from daq_service.processes.notifications.service import notify_while_web_is_silent
 from daq_service.processes.printing import print_line
 from daq_service.processes.service_manager import forward_to_service_manager, notify_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
+from daq_service.rig.twin import require_twin
 from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
 from daq_service.web.port import bind_socket
@@ -115,7 +115,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         The folder cannot be used, or belongs to another test.
     """
     settings, folder = load_settings_and_folder(config, data_dir)
-    _require_twin(settings)
+    require_twin(settings)
     if not no_web:
         bind_socket(settings.web.host, settings.web.port if port is None else port, locked=True).close()
     prepare_data_folder(folder)
@@ -158,15 +158,6 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         with notify_while_web_is_silent(settings, folder, monitors_recorder=True):
             code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
-
-
-def _require_twin(settings: Settings) -> None:
-    """Raise MissingExtraError if an instrument is the twin and its packages are not installed."""
-    from daq_service.rig.twin import KIND
-    from daq_service.settings.instruments import list_instruments
-
-    if any(item.kind is KIND for item in list_instruments(settings)):
-        require_extras("twin")
 
 
 def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
@@ -236,7 +227,7 @@ def record_alone(
     from daq_service.recording.session import record_test
 
     settings, folder = load_settings_and_folder(config, data_dir)
-    _require_twin(settings)
+    require_twin(settings)
     prepare_data_folder(folder, may_create=not restart_reason)
     with stop_on_signals() as stop, hold_recorder_lock(folder), ExitStack() as stack:
         log_to_file(folder / "logs" / "recorder.log")

@@ -10,6 +10,7 @@ import threading
 import webbrowser
 from collections.abc import Mapping
 from contextlib import suppress
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
@@ -17,6 +18,7 @@ import click
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten_output
 from daq_service.settings.foreign_text import PlainStream, escape_to_one_line
+from hardware_drivers.nanoseconds import NS_PER_S
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,7 +38,7 @@ MOST_HELD_LINES = 10_000
 
 def print_set_progress(done: int, total: int) -> None:
     """Rewrite one line of standard error with the progress of a reassessment; end it at the last set."""
-    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
+    click.echo(f"\r{done} of {total} sets ", nl=done == total, err=True)
 
 
 def create_console(stream: Literal["stdout", "stderr"]) -> Console:
@@ -150,7 +152,7 @@ class ProgressReport:
             else:
                 click.echo(text, err=err)
         except (OSError, ValueError) as gone:  # ValueError: closed, or letters that its encoding lacks
-            log.debug("nobody reads %r: %s", text, gone)
+            log.debug("no reader for %r: %s", text, gone)
 
     def _compose_progress_line(self) -> Text:
         """Compose the line rewritten on a terminal: progress, and an activity longer than `SHOWN_AFTER_S`."""
@@ -207,11 +209,11 @@ class ProgressReport:
             self._queue_line(f"{what}: took {format_duration(took_s)}")
 
     def _report_progress(self, *, done: int, planned: int, due_h: float) -> None:
-        """Store the hour and number of the last set; without a terminal print it every `LOGGED_EVERY_S`.
+        """Store the hour and number of sets; without a terminal print them every `LOGGED_EVERY_S`.
 
         The last planned set is always printed.
         """
-        self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
+        self._progress = f"hour {due_h:.1f}, {done} of {planned} sets"
         if self._gap is not None and done - 1 > self._gap[2]:
             self._print_gap_end()
         now_s = self._machine.mono_s()
@@ -225,6 +227,13 @@ class ProgressReport:
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._queue_line(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
+    def _report_due(self, *, set_index: int, due_h: float, due_utc_ns: int, in_s: float) -> None:
+        """Print when the first set of this recorder is due: hour, UTC, and in how many minutes."""
+        utc = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
+        self._queue_line(
+            f"set {set_index} is due at hour {due_h:g}, {utc:%Y-%m-%d %H:%M} UTC, in {in_s / 60.0:.0f} min"
+        )
+
     def _report_waits(self, *, reason: str) -> None:
         """Print the reason why the recorder waits, in yellow."""
         self._queue_line(f"waiting: {reason}", style="yellow")
@@ -233,7 +242,7 @@ class ProgressReport:
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
         """Print a request to the person at the rig, with the time to act and the shot, if any."""
-        shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
+        shot = "" if shot_index is None else f" (position {position}, shot {shot_index})"
         self._queue_line(f"{text}{shot}: within {format_duration(within_s)}", style="bold")
 
     def _report_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:

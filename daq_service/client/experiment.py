@@ -173,7 +173,7 @@ class Experiment:
         if position not in methods:
             raise ClientError(f"there is no position {position!r}; the positions are {', '.join(methods)}")
         if set_index is not None and (from_h, to_h) != (None, None):
-            raise ClientError("say either set_index or a range of hours")
+            raise ClientError("give either set_index or a range of hours")
         indices: Sequence[int | str]
         if set_index is not None:
             indices = [set_index]

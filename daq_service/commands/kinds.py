@@ -495,9 +495,9 @@ class Strike(TransducerCommand):
         The set is taken later. Raise ValueError if such a set cannot be requested.
         """
         position = self.arguments.position
-        reason = self.arguments.note or f"{self.author} wants to know"
+        reason = self.arguments.note or f"requested by {self.author}"
         test.store(test.confirmation(position, self.author, reason))
-        return f"a confirmation set is struck at {position} as soon as the line is free"
+        return f"an unscheduled set is taken at {position} as soon as the recorder is free"
 
 
 class _SupplyCommand(Command):

@@ -92,8 +92,8 @@ def send_command(
         raise UsageError(f"the recorder rejected {kind}: {row.result}")
     if row.state == "started":
         raise BusyError(
-            f"the recorder began order {order_id} ({kind}) and has not answered within "
-            f"{carried_out_within_s:g} s; look before you give it again: `solimon status` tells what it does"
+            f"the recorder started command {order_id} ({kind}) and has not answered within "
+            f"{carried_out_within_s:g} s; before you send it again, check it with `solimon status`"
         )
     if row.state != "done":
         raise BusyError(f"order {order_id} ({kind}) {row.state}: {row.result}")
@@ -116,7 +116,7 @@ def _require_listening_recorder(folder: Path, catalogue: Catalogue) -> None:
         )
     if not recorder.listens:
         raise BusyError(
-            f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
+            f"no recorder runs on {folder}: nothing would execute this command; start one with "
             "`solimon run` or `solimon record`, then send the command again"
         )
 

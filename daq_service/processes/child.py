@@ -263,4 +263,4 @@ def notify_supervisor(event: str, **values: object) -> None:
     try:
         os.write(pipe, json.dumps({"event": event, **values}).encode() + b"\n")
     except OSError as error:
-        log.log(logging.DEBUG if event == "beat" else logging.INFO, "nobody reads %s: %s", event, error)
+        log.log(logging.DEBUG if event == "beat" else logging.INFO, "no reader for %s: %s", event, error)

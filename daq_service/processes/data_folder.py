@@ -459,6 +459,6 @@ def write_configuration(settings: Settings, folder: Path) -> Path:
         write_durably(config, content, temporary=config.with_suffix(HINT_SUFFIX))
     except OSError as error:
         raise StorageUnavailableError(
-            f"{config} cannot be written: {error.strerror}; free or mend the disk"
+            f"{config} cannot be written: {error.strerror}; free disk space or repair the disk"
         ) from error
     return config

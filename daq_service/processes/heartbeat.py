@@ -151,7 +151,7 @@ class Heartbeat:
         try:
             _overwrite_file(self._path, encode_heartbeat(beat))
         except OSError as error:
-            _warn_once(self._path, f"cannot be written ({error}); the supervisor hears it all the same")
+            _warn_once(self._path, f"cannot be written ({error}); the supervisor still receives it")
         self._last_ns, self._last_doing = now_ns, doing
         self._last_change_ns = now_ns if is_change else self._last_change_ns
         self._last_cost_ns = self._machine.mono_ns() - now_ns

@@ -124,7 +124,7 @@ def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
     """
     if kinds and not folder.is_dir():
         description = (
-            f"nobody can tell: {folder} is gone; a recorder that runs keeps what it takes in memory and "
+            f"unknown, {folder} is missing; a recorder that runs keeps what it takes in memory and "
             "stores it when the folder is back: bring it back"
         )
         return RecorderState(

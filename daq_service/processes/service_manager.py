@@ -34,7 +34,7 @@ def notify_manager(*assignments: str) -> None:
             channel.setblocking(False)
             channel.sendto("\n".join(assignments).encode(), name)
     except OSError as error:
-        log.debug("the service manager is not told %s: %s", assignments[0], error)
+        log.debug("the service manager is not notified of %s: %s", assignments[0], error)
 
 
 @contextmanager

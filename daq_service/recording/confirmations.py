@@ -125,11 +125,11 @@ class Confirmations:
         last.
         """
         if too_late := explain_overlap(self.compute_time_to_next_set_ns(planned, moment.utc_ns), self.set_ns):
-            raise ValueError(f"{too_late}: that one says the same")
+            raise ValueError(f"{too_late}; wait for that one")
         transaction = SetCommit()
         if self.add(note, planned, position, moment, transaction, author) is None:
             raise ValueError(
-                "there are too many confirmation sets since the last planned set; wait for the next one"
+                "there are too many unscheduled sets since the last scheduled set; wait for the next one"
             )
         return transaction
 

@@ -53,6 +53,7 @@ class DueSets:
         self._commands = commands
         self._started_unscheduled: set[SetKey] = set()
         self._calibrated_ns: int | None = None
+        self._reported_due = not resources.in_real_time
 
     def follow(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
         """Yield each set when it is due: the caller takes it before it asks for the next one.
@@ -91,6 +92,11 @@ class DueSets:
         Yields nothing more if the recorder stops, or if the set's time is over after these. Boards calibrate
         themselves before, if that is due (RigError).
         """
+        if not self._reported_due:
+            self._reported_due = True
+            in_s = max(0.0, (due.due_utc_ns - self._clock.utc_ns()) / NS_PER_S)
+            which = {"set_index": due.set_index, "due_h": due.due_h, "due_utc_ns": due.due_utc_ns}
+            self._resources.report("due", **which, in_s=in_s)
         self._self_calibrate_if_due(due)
         # Simulated time has no idle hours: there files are checked after the last set.
         self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf

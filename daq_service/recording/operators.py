@@ -57,9 +57,9 @@ def _request_set(
         It cannot be taken; contains the reason.
     """
     if waiting.newest is None:
-        raise ValueError("no planned set was taken yet, or none is left: nothing is struck beside the plan")
-    if reason := assessor.assessors[position].not_assessed_reason:
-        raise ValueError(f"{position} has nothing to compare a set with: {reason}")
+        raise ValueError(
+            "no scheduled set is complete, or none is left; an unscheduled set follows a scheduled one"
+        )
     return assessor.confirmations.order(waiting.newest, position, author, note, resources.moment())
 
 

@@ -33,7 +33,8 @@ LISTEN_EVERY_S = 0.2
 """A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 Reporter = Callable[..., None]
 """Called with the name of an event and its values: ``beat``, ``begun`` (first set is due or awaited),
-``progress``, ``alarm``, ``gap``, ``finished``, ``waits`` (for the rig, whose alarm is active)."""
+``due`` (time of the first set, in real time), ``progress``, ``alarm``, ``gap``, ``finished``, ``waits`` (for
+the rig, whose alarm is active)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -250,7 +250,7 @@ def _rebuild_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> 
     made = rebuild_folder_catalogue(
         folder,
         settings=settings,
-        progress=lambda done, total: heartbeat.beat(f"making the catalogue again: set {done} of {total}"),
+        progress=lambda done, total: heartbeat.beat(f"making the catalogue again: {done} of {total} sets"),
     )
     for warning in made.warnings:
         log.warning("%s", warning)

@@ -31,6 +31,7 @@ from daq_service.acquisition.strikes_ahead import build_strike_predictor
 from daq_service.errors import UsageError
 from daq_service.processes.installation import MODULES, require_extras
 from daq_service.processes.worker import leave_with_parent, start_one_worker
+from daq_service.settings.instruments import list_instruments
 from daq_service.settings.tree import Settings
 from hardware_drivers.bounds import bounded
 from hardware_drivers.instruments import Acquired
@@ -283,3 +284,9 @@ KIND = Kind(
     require=_require_both_roles,
     packages=lambda parameters: MODULES["twin"],
 )
+
+
+def require_twin(settings: Settings) -> None:
+    """Raise MissingExtraError if an instrument is the twin and its packages are not installed."""
+    if any(item.kind is KIND for item in list_instruments(settings)):
+        require_extras("twin")

@@ -43,7 +43,7 @@ def find_webhook_url_error(url: str, *, plain_http: bool) -> str:
     if parts.scheme == "http" and parts.hostname not in LOOPBACK and not plain_http:
         return (
             f"it is http:// to {parts.hostname}, so anybody on the way could read and change alarms; use "
-            "https://, or say plain_http = true for this receiver"
+            "https://, or set plain_http = true for this receiver"
         )
     return ""
 

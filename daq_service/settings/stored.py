@@ -27,6 +27,9 @@ or None for one that went without changing what is measured."""
 BEFORE: Mapping[str, object] = {"alarms.decides_by": "k_of_n"}
 """Keys that came later and whose default is not what was done before, with what was."""
 
+PRIVATE = ("web", "notifications", "storage")
+"""Tables with addresses, secrets and paths: no reader of the data needs them."""
+
 SHOWN = 12
 """A refusal names this many keys: nobody reads more."""
 
@@ -65,6 +68,14 @@ def rename_old_keys(values: Mapping[str, object]) -> Tables:
     return nest_tables(before | {path: value for path, value in moved if path})
 
 
+def remove_private_keys(values: Tables) -> Tables:
+    """Return a copy of a stored configuration for publication: without `PRIVATE` and contacts of alarms."""
+    public = {name: value for name, value in values.items() if name not in PRIVATE}
+    if "alarms" in public:
+        public["alarms"] = {name: value for name, value in public["alarms"].items() if name != "contacts"}
+    return public
+
+
 def list_settings_differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """List the keys that affect the data and differ between a stored and the given configuration.
 
@@ -100,7 +111,7 @@ def list_settings_differences(stored: Mapping[str, object], given: Settings) -> 
         then = flatten(known.measured())
     except ValidationError as error:
         messages |= {
-            _format_error_path(problem["loc"]): f"{problem['msg']}, says this version"
+            _format_error_path(problem["loc"]): f"{problem['msg']} in this version"
             for problem in error.errors()
         }
     else:

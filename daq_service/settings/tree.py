@@ -11,6 +11,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Mapping
+from datetime import date
 from typing import ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -47,6 +48,7 @@ HASHED_OUT: Mapping[str, IncEx | bool] = {
     "schedule": {"end_h"},
     "alarms": {"kinds"},
     "storage": True,
+    "positions": {"__all__": {"calibration"}},
     # Where instruments are reached and how long they are waited for: a replugged cable is no other test.
     "rig": {
         "read_timeout_s": True,
@@ -130,6 +132,32 @@ class ScheduleSettings(Section):
         return self
 
 
+class CalibrationSettings(Section):
+    """External calibration of a position's sensor, by its certificate."""
+
+    certificate: str = ""
+    """Number of the calibration certificate."""
+    calibrated_on: date | None = None
+    """Date of the calibration."""
+    due_on: date | None = None
+    """Date until which it is valid; `check-config` and `doctor` warn after it."""
+    sensitivity_v_per_n: float | None = Field(default=None, gt=0.0, le=1e6)
+    """Voltage per force of the sensor disk; stored and reported, not used in any value."""
+
+    @model_validator(mode="after")
+    def _check_date_order(self) -> Self:
+        """Return the table; raise ValueError if the calibration is due before it was made."""
+        if self.calibrated_on and self.due_on and self.due_on < self.calibrated_on:
+            raise ValueError(
+                f"due_on = {self.due_on} precedes calibrated_on = {self.calibrated_on}; correct one"
+            )
+        return self
+
+    def is_overdue(self, today: date) -> bool:
+        """Return whether the calibration is due before a date; False without a due date."""
+        return self.due_on is not None and self.due_on < today
+
+
 class PositionSettings(Section):
     """One monitored place: who looks at it and what is expected there."""
 
@@ -139,6 +167,11 @@ class PositionSettings(Section):
     """Name of the position for people."""
     serial_number: str = ""
     """Serial number of the transducer or probe."""
+    calibration: CalibrationSettings = CalibrationSettings()
+    """External calibration of this position's sensor."""
+    minimum_wall_m: float | None = Field(default=None, gt=0.0, le=1.0)
+    """Wall thickness below which a probe raises `thickness_low`, where it exceeds the limit by
+    `alarms.thickness_loss_fraction`; absent: only that limit applies."""
     chain: ChainParameters = ChainParameters()
     """This transducer's chain; keys not given are those of `[chain]`."""
     plate: PlateParameters = PlateParameters()
@@ -171,6 +204,11 @@ class UltrasoundSettings(Section):
     """Longitudinal velocity that finds the first echo (assumption: steel); eq. 17 itself needs none."""
     element_separation_m: float = Field(default=0.0, ge=0.0, le=0.1)
     """Distance of a dual probe's elements: takes off their V-shaped way; 0 is the paper's equation 17."""
+
+    @property
+    def delay_is_assumed(self) -> bool:
+        """Return whether the delay is the default one, an assumption instead of the probe's own."""
+        return self.delay_s == type(self).model_fields["delay_s"].default  # type: ignore[no-any-return] # of pydantic
 
 
 class FeatureSettings(Section):
@@ -342,7 +380,7 @@ class Settings(BaseSettings):
     reads_environment: ClassVar[bool] = True
 
     name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
-    """Name of the experiment."""
+    """Name of the test."""
     site: str = Field(default="", max_length=200)
     """Where the test runs, for readers of its files; stored when the test is created."""
     clock: ClockSettings = ClockSettings()
@@ -430,6 +468,7 @@ class Settings(BaseSettings):
                 f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
                 "or correct the name"
             )
+        self._check_minimum_walls()
         self.notifications.require_known_positions(list(self.positions))
         if self.rig.kind == "daqmx":
             self._check_wiring()
@@ -437,6 +476,18 @@ class Settings(BaseSettings):
             self.rig.require_role_instruments({name: place.method for name, place in self.positions.items()})
         self._check_set_overlap()
         return self
+
+    def _check_minimum_walls(self) -> None:
+        """Raise ValueError for a minimum wall without a probe, or not below the initial thickness."""
+        initial_m = self.ultrasound.initial_thickness_m
+        for name, place in self.positions.items():
+            key = f"positions.{name}.minimum_wall_m = {place.minimum_wall_m}"
+            if place.minimum_wall_m is not None and place.method != PULSE_ECHO:
+                raise ValueError(f"{key} needs the method pulse_echo, which measures thickness; remove it")
+            if place.minimum_wall_m is not None and place.minimum_wall_m >= initial_m:
+                raise ValueError(
+                    f"{key} must be below ultrasound.initial_thickness_m = {initial_m}; correct one of them"
+                )
 
     def _check_set_overlap(self) -> None:
         """Raise ValueError if a set's strikes take more than 99 % of the schedule's shortest interval."""
@@ -448,10 +499,10 @@ class Settings(BaseSettings):
         if takes_s > FILLED_AT_MOST * shortest_s:
             raise ValueError(
                 f"sets overlap: {transducers} transducers, schedule.shots_per_set = "
-                f"{self.schedule.shots_per_set} strikes of each every schedule.shot_interval_s = "
-                f"{self.schedule.shot_interval_s:g} s take {takes_s:g} s, and a phase of the schedule has "
-                f"one due every {shortest_s:g} s, of which {1.0 - FILLED_AT_MOST:.0%} is left to reading the "
-                "last record and storing; take a longer interval_h or fewer strikes"
+                f"{self.schedule.shots_per_set} strikes each, one per schedule.shot_interval_s = "
+                f"{self.schedule.shot_interval_s:g} s, take {takes_s:g} s. A phase of the schedule has "
+                f"one due every {shortest_s:g} s, of which {1.0 - FILLED_AT_MOST:.0%} is left to read the "
+                "last record and store it. Choose a longer interval_h or fewer strikes"
             )
 
     def _check_wiring(self) -> None:
@@ -500,6 +551,9 @@ class Settings(BaseSettings):
             if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
+        for place in values["positions"].values():
+            if place["minimum_wall_m"] is None:
+                del place["minimum_wall_m"]
         del values["alarms"]["contacts"]  # a telephone number affects no data
         if self.alarms.false_alarms_per_year is None:
             del values["alarms"]["false_alarms_per_year"]
@@ -523,10 +577,10 @@ class Settings(BaseSettings):
             json.dumps(self.measured(), sort_keys=True, separators=(",", ":")).encode()
         ).hexdigest()
 
-    @property
-    def thinnest_m(self) -> float:
-        """Return the wall thickness in m below which the alarm of an ultrasonic probe is raised."""
-        return (1.0 - self.alarms.thickness_loss_fraction) * self.ultrasound.initial_thickness_m
+    def find_wall_limit_m(self, position: str) -> float:
+        """Return the wall thickness in m below which the alarm of a probe is raised: the larger limit."""
+        of_loss_m = (1.0 - self.alarms.thickness_loss_fraction) * self.ultrasound.initial_thickness_m
+        return max(of_loss_m, self.positions[position].minimum_wall_m or 0.0)
 
     def list_positions(self, method: Method) -> list[str]:
         """Return the names of the positions monitored by a method, in the order of the file."""

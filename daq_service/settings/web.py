@@ -12,6 +12,8 @@ LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
 """Names of this machine for itself, and their addresses."""
 HostName = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$")]
 
+Origin = Annotated[str, Field(pattern=r"^https?://[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?(:[0-9]{1,5})?$")]
+
 
 def is_ip_address(text: str) -> bool:
     """Return whether a text is an IPv4 or IPv6 address; host names are not."""
@@ -34,6 +36,9 @@ class WebSettings(BaseModel):
     """TCP port; 0 takes a free one."""
     host_names: tuple[HostName, ...] = ()
     """Names by which browsers reach the service from elsewhere; requests for others are refused."""
+    embed_origins: tuple[Origin, ...] = ()
+    """Origins, such as `https://wiki.example.org`, whose pages may embed a panel and read the API; with
+    tokens, those of the same site only. None: no page may."""
     tls_certificate: str = ""
     """PEM file of the service's own certificate with its chain, relative to the configuration file."""
     tls_key: str = ""
@@ -73,14 +78,14 @@ class WebSettings(BaseModel):
             if self.host in LOOPBACK:
                 what = f"web.host_names is {json.dumps(self.host_names)}"
             raise ValueError(
-                f"{what}: other computers shall reach the service, so tokens and measurements must travel "
-                "encrypted; set web.tls_certificate and web.tls_key, or web.proxy to the address of a proxy "
-                f"that terminates TLS; or keep to this machine ({', '.join(LOOPBACK)})"
+                f"{what}: other computers can reach the service, so tokens and measurements must be "
+                "encrypted. Set web.tls_certificate and web.tls_key, or web.proxy to the address of a proxy "
+                f"that terminates TLS, or serve only this computer ({', '.join(LOOPBACK)})"
             )
         if self.is_reachable and not self.names_elsewhere:
             raise ValueError(
-                "no name is given by which others reach the service; say in web.host_names how browsers call "
-                'this computer, for example ["lab.example.org"]'
+                "web.host_names names no host, though other computers can reach the service. Add the names "
+                'by which browsers reach this computer, for example ["lab.example.org"]'
             )
         return self
 

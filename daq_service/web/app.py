@@ -22,6 +22,7 @@ from daq_service.web.answers.version import API_VERSION
 from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, find_app_context
 from daq_service.web.documentation import Documentation
+from daq_service.web.embedding import Embedding
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import health, metrics, page
@@ -146,7 +147,10 @@ def add_guard_middleware(app: FastAPI, context: Context, *, has_tests: bool = Fa
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
     app.add_middleware(AuthenticationMiddleware, policy=context.access_policy, has_tests=has_tests)
     app.add_middleware(assets.AssetsFirst)
-    names = context.settings.web.names_elsewhere
+    web, policy = context.settings.web, context.access_policy
     app.add_middleware(
-        RequestGuard, audit_rejection=context.access_policy.audit_rejection, names_elsewhere=names
+        RequestGuard,
+        audit_rejection=policy.audit_rejection,
+        names_elsewhere=web.names_elsewhere,
+        embedding=Embedding(frozenset(web.embed_origins), lambda: policy.is_open),
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -16,6 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from daq_service.settings.web import LOOPBACK
 from daq_service.web.answers.problem import Problem, build_problem_response
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
+from daq_service.web.embedding import SAFE_METHODS, Embedding
 
 LARGEST_BODY_BYTES = 64 * 1024
 BODY_WITHIN_S = 10.0
@@ -26,18 +27,6 @@ EVENTS = "/api/v1/stream"
 """Event stream of each test. A foreign page cannot read it, but would occupy one of the streams."""
 STREAMS_AT_ONCE = 8
 """Streams started before other requests get a turn: a thousand clients reconnect after a restart."""
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-CONTENT_SECURITY_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-ANSWER_HEADERS: Mapping[str, str] = {
-    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
 
 
 class RequestGuard:
@@ -54,10 +43,12 @@ class RequestGuard:
         app: ASGIApp,
         *,
         names_elsewhere: frozenset[str] = frozenset(),
+        embedding: Embedding | None = None,
         audit_rejection: RejectionAuditor | None = None,
     ) -> None:
         self._app, self._audit_rejection = app, audit_rejection
         self._names = names_elsewhere | LOOPBACK.keys()
+        self._embedding = embedding or Embedding()
         self._streams_entering = asyncio.Semaphore(STREAMS_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -75,14 +66,16 @@ class RequestGuard:
         name = uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = name
         headers = Headers(scope=scope)
-        problem = _find_request_problem(scope, headers, self._names)
+        problem = _find_request_problem(scope, headers, self._names, self._embedding)
 
         async def send_with_headers(message: Message) -> None:
             """Send a message; add the security headers and the request id to the start of a response."""
             if message["type"] in {"http.response.start", "websocket.http.response.start"}:
                 answer = MutableHeaders(scope=message)
-                for key, value in ANSWER_HEADERS.items():
+                for key, value in self._embedding.choose_headers(scope, headers).items():
                     answer.setdefault(key, value)
+                if self._embedding.origins:
+                    answer.add_vary_header("Origin")
                 answer.setdefault("Cache-Control", "no-store")
                 answer["X-Request-ID"] = name
             await send(message)
@@ -143,7 +136,9 @@ def _create_body_too_slow() -> Problem:
     return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
 
-def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
+def _find_request_problem(
+    scope: Scope, headers: Headers, names: frozenset[str], embedding: Embedding
+) -> Problem | None:
     """Check header size, host, origin and stated body size of a request; return the first problem or None.
 
     ``names`` are the host names of this service.
@@ -162,10 +157,12 @@ def _find_request_problem(scope: Scope, headers: Headers, names: frozenset[str])
     origin = _join_header(headers, "origin")
     is_foreign = (
         "cross-site" in _join_header(headers, "sec-fetch-site") and _parse_hostname(origin) not in names
-    )
+    ) and not embedding.allows_reading(scope, headers)
     reads_across = "/api/" in scope["path"] and is_foreign
     if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not is_same_origin(headers)):
         return Problem("foreign-origin", f"Origin is {origin!r}, but the request went to {host!r}.")
+    if problem := embedding.find_problem(scope, headers):
+        return problem
     size = headers.get("content-length", "0")
     if scope["type"] == "http" and (not size.isdecimal() or int(size[:9]) > LARGEST_BODY_BYTES):
         return _create_body_too_large(size)

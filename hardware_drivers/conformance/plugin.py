@@ -43,7 +43,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--solimon-strike",
         action="store_true",
-        help="let strikers of a real rig move and probes fire; only with a person beside the rig",
+        help="let strikers of a real rig move and probes fire; only with a person at the rig",
     )
 
 

@@ -76,7 +76,7 @@ class SafetyContract:
             for name, call in _list_calls(opened, opening):
                 errors[name] = _capture_error(name, call)
         assert any(errors.values()), (
-            f"no call told of the fault {fault!r}: {', '.join(errors) or 'none was made'}"
+            f"no call reported the fault {fault!r}: {', '.join(errors) or 'none was made'}"
         )
 
     def test_after_an_error_nothing_is_armed(
@@ -93,7 +93,7 @@ class SafetyContract:
             read = opened.digitizer.read
             with _inject_fault(bench, fault):
                 first = _capture_error("read", lambda: read(TIMEOUT_S))
-            assert first is not None, f"read told nothing of the fault {fault!r}"
+            assert first is not None, f"read did not report the fault {fault!r}"
             second = _capture_error("read", lambda: read(TIMEOUT_S))
             assert second is not None, "there was nothing to read any more"
             assert not isinstance(second, AcquisitionTimeoutError), "it waited again: still armed"
@@ -106,7 +106,7 @@ class SafetyContract:
         Skipped if the bench does not report the coils.
         """
         if bench.coil_levels is None:
-            pytest.skip("it has no coil, or nobody knows what its coils did")
+            pytest.skip("it has no coil, or what its coils did is unknown")
         with _open_faulty_instrument(open_kind) as opened, _inject_fault(bench, fault):
             for name, call in _list_calls(opened, opening, ("strike", "make_safe")):
                 _capture_error(name, call)

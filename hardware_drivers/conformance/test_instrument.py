@@ -117,7 +117,7 @@ class OnTheBench:
     def coil_levels(self, bench: Bench) -> CoilLevels:
         """Return the bench's function that reads the switchings of coils; skip the rule if it has none."""
         if bench.coil_levels is None:
-            pytest.skip("it has no coil, or nobody knows what its coils did: a double's Bench.coil_levels")
+            pytest.skip("it has no coil, or what its coils did is unknown: a double's Bench.coil_levels")
         return bench.coil_levels
 
 
@@ -268,5 +268,5 @@ class TestClimate(OnTheBench, ClimateProbeContract):
     def air(self, bench: Bench) -> tuple[float, float]:
         """Return the double's temperature (degrees Celsius) and humidity (0 to 1); skip without a double."""
         if bench.air is None:
-            pytest.skip("nobody knows the true air: a double's Bench.air")
+            pytest.skip("the true air is unknown: a double's Bench.air")
         return bench.air

@@ -230,9 +230,8 @@ def _configure_coil_start(
     source = f"/{coil_board.name}/Ctr{parameters.transducers[position].counter[3:]}InternalOutput"
     trigger = task.triggers.start_trigger
     with translate_errors(
-        f"starting the acquisition of {position!r} on {board.label} by {source} of {coil_board.label} (a "
-        "coil's counter can do that on the digitizer's own board, of S Series ctr0 only, or on one in the "
-        "same chassis if NI MAX knows the chassis)"
+        f"starting the acquisition of {position!r} on {board.label} by {source} of {coil_board.label} (the "
+        "coil's counter must be on the digitizer's board, S Series: ctr0, or in its chassis, known to NI MAX)"
     ):
         trigger.cfg_dig_edge_start_trig(source, Edge.RISING if record == "pulse" else Edge.FALLING)
         if record == "shot":

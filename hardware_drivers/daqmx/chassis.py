@@ -194,7 +194,7 @@ class Chassis:
             return
         raise ConnectionLostError(
             f"the coil of {position!r} may be on for another {left_s:.2g} s: its board does not answer; the "
-            f"board's counter ends the pulse after pulse_s = {self.parameters.pulse_s} s whatever happens"
+            f"board's counter ends the pulse after pulse_s = {self.parameters.pulse_s} s in any case"
         )
 
     def _clear_tasks_by_name(self, roles: Sequence[str]) -> bool:
@@ -277,7 +277,7 @@ class Chassis:
     def _reset_boards(self) -> None:
         """Reset all boards, or only log a warning if another program uses one; InstrumentError on failure."""
         if self._shared:
-            log.warning("not resetting: somebody else uses a board of ours too")
+            log.warning("not resetting: another program uses one of these boards")
             return
         for board in self._boards.values():
             with translate_errors(f"resetting {board.label}"):

@@ -136,7 +136,7 @@ class Connection:
         except ConnectionLostError as error:
             if not _is_name_taken(error):
                 raise
-            log.warning("a task of ours under its usual name is beyond reach; taking another name")
+            log.warning("a task under its usual name cannot be reached; using another name")
             return create(self._build_task_name(role, uuid.uuid4().hex[:8]))
 
     def is_own_task(self, owner: str) -> bool:
@@ -174,7 +174,7 @@ class Connection:
                 if not _is_name_taken(error):
                     raise
                 # The server has forgotten the session but not its task: no one can reach it.
-                log.warning("%s: it is beyond reach", doing)
+                log.warning("%s: it cannot be reached", doing)
                 reached = False
         return reached
 

@@ -261,7 +261,7 @@ class DaqmxParameters:
             at = alone[0] if alone else next(iter(self.transducers))
             raise ValueError(
                 f"holdoff_s is {self.holdoff_s:g} s, but transducers.{at} has no "
-                f"{'counter' if alone else 'input'}: a holdoff is begun by the counter that pulses the coil, "
+                f"{'counter' if alone else 'input'}: the counter that pulses the coil starts a holdoff "
                 "in hardware, so boards of this table must do both; wire both, or leave holdoff_s out"
             )
 

@@ -370,12 +370,12 @@ def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
     if not date:
         return (
             "warn",
-            "the driver does not say when it last calibrated itself",
+            "the driver does not report its last self-calibration",
             "self-calibrate it in NI MAX; a device that NI's driver simulates has no such date",
         )
     away_k = abs(facts.temperature_c - facts.calibration_temperature_c)
     if math.isnan(away_k):
-        return "ok", f"on {date}; the driver does not say how warm it was or is", ""
+        return "ok", f"on {date}; the driver does not report its temperature then or now", ""
     detail = (
         f"on {date} at {facts.calibration_temperature_c:.1f} C; it is at {facts.temperature_c:.1f} C now (at "
         f"most {WARMED_K:g} K apart)"

@@ -181,7 +181,7 @@ def configure_board(
     if session.trigger_source != find_trigger_terminal(wiring):
         raise ConnectionLostError(
             f"the board at {board.resource!r} waits for a trigger at {session.trigger_source!r}, not at "
-            f"{find_trigger_terminal(wiring)!r} as it was told"
+            f"{find_trigger_terminal(wiring)!r} as configured"
         )
     require_32_bit_sum(parameters.averages, max(setup.sample_bits, setup.resolution_bits))
     return setup

@@ -177,7 +177,7 @@ def open_tdms(
             if key in places:
                 raise ConfigurationError(
                     f"{place} and {places[key]} are both shot {key.shot_index} of set {key.set_index} at "
-                    f"{key.position!r}; let the patterns tell them apart"
+                    f"{key.position!r}; use patterns that distinguish them"
                 )
             places[key] = place
     if not places:

@@ -69,7 +69,7 @@ def find_shots_by_name(
                 else f"channels {twin!r} and {name!r} are both shot {number} of {position!r}"
             )
             raise ConfigurationError(
-                f"{file}, group {group!r}: {indices}; its channels are: {names}; say which it is by "
+                f"{file}, group {group!r}: {indices}; its channels are: {names}; assign it by "
                 "channel_pattern with (?P<position>...) and (?P<shot>...), or by rename"
             )
         found[group, name] = {"position": position, "shot": shot}

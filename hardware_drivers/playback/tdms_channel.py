@@ -128,7 +128,7 @@ def _quantise_values(
         raise ConfigurationError(f"{where}: a value is not finite; leave this record out of the patterns")
     if largest_v > calibration.range_v:
         raise ConfigurationError(
-            f"{where}: a value of {largest_v:.6g} V is beyond the range of {calibration.range_v:g} V; raise "
+            f"{where}: a value of {largest_v:.6g} V exceeds the range of {calibration.range_v:g} V; raise "
             "range_v of the mapping"
         )
     low, high = calibration.full_scale_counts
@@ -178,7 +178,7 @@ def _find_resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
     stored_bits = _RAW_TYPES[channel.dtype]
     if mapping.resolution_bits is None and stored_bits == 32:
         raise channel.build_error(
-            "32-bit codes of a converter whose resolution is not told: clipping could not be seen",
+            "32-bit codes of a converter of unknown resolution: clipping could not be seen",
             "give resolution_bits (18 for a PXIe-6396)",
         )
     bits = stored_bits if mapping.resolution_bits is None else mapping.resolution_bits
@@ -306,7 +306,7 @@ def pretrigger_samples(
         if offset_s is None or offset_s >= 0.0:
             problem = f"{name} is missing" if offset_s is None else f"{name} is {offset_s} s"
             raise channel.build_error(
-                f"where the trigger is cannot be told: {problem}, a pre-trigger needs a negative one",
+                f"the position of the trigger is unknown: {problem}, a pre-trigger needs a negative one",
                 "give pretrigger_samples",
             )
         samples = round(-offset_s * rate_hz)

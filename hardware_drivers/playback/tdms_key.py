@@ -31,7 +31,7 @@ def build_shot_key(channel: Channel, names: Mapping[str, str | None], mapping: T
         if property_name:
             if property_name not in channel.properties:
                 raise channel.build_error(
-                    f"the property {property_name!r} that tells the {part} is missing",
+                    f"the property {property_name!r} that gives the {part} is missing",
                     f"correct {part}_property, or leave the channel out of the patterns",
                 )
             values[part] = channel.properties[property_name]
@@ -89,7 +89,7 @@ def count_record_samples(channel: Channel, mapping: TdmsMapping) -> int:
     samples = mapping.record_samples or written
     if samples is None or samples < 1:
         raise channel.build_error(
-            f"the length of a record cannot be told ({mapping.samples_property} is missing)",
+            f"the length of a record is unknown ({mapping.samples_property} is missing)",
             "give record_samples",
         )
     if channel.n_samples % int(samples):

@@ -42,10 +42,10 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
             humidity /= 100.0
         for name, value, (low, high) in (
             ("a temperature in degrees Celsius", temperature_c, TEMPERATURE_RANGE_C),
-            (f"a relative humidity (told in {parameters.humidity_unit})", humidity, HUMIDITY_RANGE),
+            (f"a relative humidity (reported in {parameters.humidity_unit})", humidity, HUMIDITY_RANGE),
         ):
             if not low <= value <= high:
                 raise self._line.mark_lost(
-                    f"tells {value:g} as {name}; it must lie in {low:g}..{high:g}: check its sensor and unit"
+                    f"reports {value:g} as {name}; it must be in {low:g}..{high:g}: check its sensor and unit"
                 )
         return ClimateReading(stamp=stamp, temperature_c=temperature_c, relative_humidity=min(humidity, 1.0))

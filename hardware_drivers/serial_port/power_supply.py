@@ -138,7 +138,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                     self._switch_off(deadline_s)
                     return
                 except ConnectionLostError as error:
-                    log.warning("switching off: %s; trying once more", error)
+                    log.warning("switching off: %s; trying again", error)
             self._connect(deadline_s, at_once=True)
             self._switch_off(deadline_s)
         except InstrumentError as error:
@@ -203,7 +203,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         """Switch the output off; ConnectionLostError if it then reports on, or does not answer."""
         self._line.send(self._dialect.switch_off)
         if self._query_flag(self._dialect.output, deadline_s):
-            raise self._line.mark_lost("was told to switch its output off and says it is on")
+            raise self._line.mark_lost("was commanded to switch its output off and reports that it is on")
 
     def _set_output_levels(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Set protection levels, current limit, then voltage (V, A), each read back as by `_set_level`.
@@ -245,7 +245,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
         if level.enabled is not None and not self._query_flag(level.enabled, deadline_s):
             raise ConfigurationError(
-                f"{self._line.name} was told {level.enable} and says it is off; check its lock"
+                f"{self._line.name} received {level.enable} and reports that it is off; check its lock"
             )
 
     def _check_output(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
@@ -253,7 +253,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         parameters = self._parameters
         reading = self._measure(deadline_s)
         if not reading.output_on:
-            causes = ", ".join(self._tripped) or "it does not say why"
+            causes = ", ".join(self._tripped) or "the supply does not report the cause"
             raise ConfigurationError(f"{self._line.name} switched itself off again ({causes})")
         for measured, most, unit in (
             (reading.voltage_v, voltage_v + parameters.readback_tolerance_v, "V"),

@@ -137,7 +137,7 @@ class PlateParameters:
             if abs(at_m) + max(reach_m, self.contact_element_m) > 0.5 * edge_m:
                 raise ValueError(
                     f"{name} is {at_m} m; on an edge of {edge_m} m the contact, {reach_m} m to either side, "
-                    f"must lie within {0.5 * edge_m} m of the centre"
+                    f"must be at most {0.5 * edge_m} m from the centre"
                 )
         if self.contact == "patch" and self.contact_element_m > self.contact_radius_m:
             raise ValueError(

@@ -169,7 +169,7 @@ def approximate_restitution(inelasticity: float) -> float:
 
     ``e = exp(-1.6605 lambda)`` (paper). Raise SpecimenError for lambda outside 0 to 1.
     """
-    _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_10, "use solve_impact beyond eq. 10")
+    _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_10, "use solve_impact instead of eq. 10")
     return math.exp(-1.6605 * inelasticity)
 
 
@@ -178,7 +178,7 @@ def approximate_contact_time(inelasticity: float) -> float:
 
     ``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``. Raise SpecimenError for lambda outside 0 to 2.
     """
-    _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_12, "use solve_impact beyond eq. 12")
+    _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_12, "use solve_impact instead of eq. 12")
     return 2.762 + 0.4568 * math.exp(1.27 * inelasticity)
 
 

@@ -42,4 +42,4 @@ def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(tmp_path):
     once = ("preparing the twin's plates",)
     messages = [line for line in done.stderr.splitlines() if not line.startswith(once)]
     assert (done.returncode, done.stdout) == (0, "")
-    assert messages == ["hour 0.5, set 1 of 2", "hour 1.0, set 2 of 2"]
+    assert messages == ["hour 0.5, 1 of 2 sets", "hour 1.0, 2 of 2 sets"]

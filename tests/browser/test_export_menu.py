@@ -2,6 +2,7 @@
 
 import io
 
+import matplotlib.image
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -97,6 +98,26 @@ def test_the_copied_python_has_the_figures_of_the_chart(page, chart, of, field, 
         assert set(table["quality"]) == {"good"}
 
 
+@pytest.mark.parametrize(
+    ("chart", "field", "factor"), [("tof", "tof_pp_s", 1e6), ("feature", "isw_fwhm_s", 1e6)]
+)
+def test_error_bars_begin_a_standard_error_below_the_mean(page, chart, field, factor):
+    until(lambda: charts(page)[chart]["low"], "the standard errors are read")
+    answer = page.evaluate("fetch('/api/v1/features?position=B&limit=1000').then((answer) => answer.json())")
+    expected = [1e6 * (row[field] - row["standard_error"][field]) for row in answer["items"]]
+    np.testing.assert_allclose(charts(page)[chart]["low"], expected, rtol=1e-9)
+
+
+def test_a_chart_is_saved_as_a_picture(page):
+    with page.expect_download() as found:
+        page.get_by_role("button", name="Save as PNG: Time of flight").click()
+    assert found.value.suggested_filename == "tof.png"
+    picture = matplotlib.image.imread(found.value.path())
+    drawn = page.locator("#tof canvas").bounding_box()
+    assert picture.shape[0] > drawn["height"] + 50, "title, subtitle and names are above it"
+    assert len(np.unique(picture[:20].reshape(-1, 4), axis=0)) > 2, "the title is written"
+
+
 def test_the_copied_python_of_the_test_has_every_position(page):
     data = run_copied(page, "the test")
     assert set(data["assessments"]["position"]) == {"B", "C", "D"}
@@ -110,7 +131,7 @@ def test_the_copied_python_has_the_records_of_the_opened_set(page):
     by_label = dict(zip(drawn["labels"], drawn["volts"], strict=True))
     for shot in range(SHOTS):
         # The same linear polynomial, evaluated twice: rounding only.
-        np.testing.assert_allclose(waves[shot], by_label[f"shot {shot + 1}"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(waves[shot], by_label[f"shot {shot}"], rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

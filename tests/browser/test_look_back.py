@@ -81,7 +81,7 @@ class TestSets:
         by_label = dict(zip(shown["labels"], shown["volts"], strict=True))
         for shot, volts in enumerate(waves):
             # The same linear polynomial, evaluated twice: rounding only.
-            np.testing.assert_allclose(by_label[f"shot {shot + 1}"], volts, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(by_label[f"shot {shot}"], volts, rtol=0, atol=1e-12)
         np.testing.assert_allclose(
             by_label["mean of the valid shots"], np.mean(waves, axis=0), rtol=0, atol=1e-12
         )

@@ -176,7 +176,7 @@ def is_the_shot_of_the_first_outlier(page, api, filled):
     expect(page.locator("#set")).to_have_attribute("data-set", f"C {first}")
     assert query(page) == {"position": "C", "set": str(first), "shot": "0"}
     shown = until(lambda: dashboard(page, "set"), "its records are drawn")
-    volts = dict(zip(shown["labels"], shown["volts"], strict=True))["shot 1"]
+    volts = dict(zip(shown["labels"], shown["volts"], strict=True))["shot 0"]
     (shot,) = [one for one in filled.records(first) if (one.key.position, one.key.shot_index) == ("C", 0)]
     # The same linear polynomial, evaluated twice: rounding only.
     np.testing.assert_allclose(volts, shot.waveform.volts(), rtol=0, atol=1e-12)

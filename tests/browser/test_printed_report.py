@@ -82,7 +82,7 @@ def test_a_report_has_its_summary_on_two_pages(browser, filled, tmp_path, monkey
     assert summary.count("no reflected wave, possible hole or lost contact") == 6 + 6 + 1
     assert "10 further alarms are in the appendix." in summary
     assert summary.count("not verified: 48 sets, 150 needed") == 5, "one is a probe"
-    assert summary.endswith("A value of suspect or bad quality needs a second measurement.")
+    assert summary.endswith("(ultrasound.delay_s) makes the wall loss more accurate.")
     assert "Appendix Identity" in pages[2], "the summary ends with the second page"
     assert NOTE in " ".join(pages[2:])
     assert all(f"Page {number} of {len(pages)}" in page for number, page in enumerate(pages, start=1))

@@ -26,7 +26,7 @@ BASELINE_QUALITY = {
     "advice": "200 sets and more are advised, 47 are there",
     "false_alarms_per_sensor_year": 0.2,
     "rate_verified": False,
-    "rate_not_verified_reason": "47 sets cannot show slow memory",
+    "rate_not_verified_reason": "47 sets, 150 needed",
 }
 
 
@@ -139,7 +139,7 @@ def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared)
         "34 independent sets (lag-1 autocorrelation 0.17)",
         "sets 3, 4, 5 form a separate group; a trend over the complete baseline",
         "not measured",
-        "design rate 0.2 per transducer-year, not verified: 47 sets cannot show slow memory",
+        "design rate 0.2 per transducer-year, not verified: 47 sets, 150 needed",
         "200 sets and more are advised",
         "Approve this baseline, or renew it with more sets.",
         "B-baseline-1, retired by ben, 2024-01-01",

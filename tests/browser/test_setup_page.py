@@ -65,6 +65,9 @@ def test_terminal_and_page_lead_from_nothing_to_a_first_good_set(doubles, open_p
             expect(form).to_have_attribute("data-name", name)
             expect(form).to_be_visible()
 
+        asks("name")
+        page.locator("#answer").fill("Tank 3")
+        answer.click()
         asks("drop_height_m")
         answer.click()
         terminal.until("Time a coil is on")
@@ -76,7 +79,7 @@ def test_terminal_and_page_lead_from_nothing_to_a_first_good_set(doubles, open_p
             "Board that records B",
             "Input of the PZT",
             "Counter of the coil",
-            "Terminal its pulse",
+            "Terminal at which",
         ):
             terminal.until(question)
             terminal.enter()

@@ -1,8 +1,10 @@
 """The files are NeXus: h5py alone, knowing only NeXus's attributes, finds everything; so does h5dump."""
 
+import io
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from datetime import datetime
 
 import h5py
@@ -268,3 +270,18 @@ def test_h5dump_reads_the_whole_file(path):
     assert dump.count('GROUP "') >= 14
     assert '"Set 7, hour 4"' in dump
     assert '"no trigger within 5 s: gr' in dump
+
+
+def test_the_external_calibration_of_a_sensor_is_an_attribute_of_its_detector():
+    record = make_set()
+    known = {"certificate": "", "due_on": "2027-01-15", "sensitivity_v_per_n": 0.5, "calibrated_on": None}
+    configuration = {"positions": {"B": {"calibration": known}}}
+    image = build_set_image(replace(record, provenance={**record.provenance, "configuration": configuration}))
+    with h5py.File(io.BytesIO(image)) as file:
+        found = {
+            (text(detector.attrs["position"]), name): value
+            for detector in groups_of(file, "NXdetector")
+            for name, value in detector.attrs.items()
+            if name.startswith("sensor_")
+        }
+    assert found == {("B", "sensor_due_on"): "2027-01-15", ("B", "sensor_sensitivity_v_per_n"): 0.5}

@@ -120,6 +120,7 @@ def parse_yaml(text):
 PARSERS = {
     "python": lambda text: compile(text, "block", "exec"),
     "toml": tomllib.loads,
+    "html": ElementTree.fromstring,
     "json": orjson.loads,
     "yaml": parse_yaml,
     "sh": parse_shell,

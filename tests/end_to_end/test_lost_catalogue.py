@@ -66,5 +66,5 @@ def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_ho
     lose_catalogue(started_folder)
     answer = solimon_here("rebuild", "--data-dir", str(started_folder), "--json", env=os.environ)
     assert (answer.returncode, json.loads(answer.stdout)["warnings"]) == (0, [])
-    assert "set 5 of 5" in answer.stderr
+    assert "5 of 5 sets" in answer.stderr
     assert table_rows(started_folder) == whole

@@ -70,7 +70,7 @@ def test_doctor_passes_a_rehearsal_and_calls_nothing_real_or_calibrated(doubles,
     assert code == 0
     unknown = {name: check["found"] for name, check in checks.items() if check["state"] == "warn"}
     assert "made up" in unknown["board 00000000: real"]
-    assert "does not say when" in unknown["board 00000000: calibrated"]
+    assert "does not report its last" in unknown["board 00000000: calibrated"]
     for position in "BCD":
         assert "made up" in unknown[f"transducer {position}: noise"]
 

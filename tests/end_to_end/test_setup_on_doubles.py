@@ -125,7 +125,25 @@ def test_without_permission_nothing_strikes_and_the_file_states_it(doubles, tmp_
 
 
 def test_prompts_repeat_until_the_answer_is_valid(doubles, tmp_path, monkeypatch):
-    answers = ["", "0", str(PULSE_S), "B", "", "ai9", "", "", "", "strike", "", "", "yes", "", "", ""]
+    answers = [
+        "Tank 3",
+        "",
+        "0",
+        str(PULSE_S),
+        "B",
+        "",
+        "ai9",
+        "",
+        "",
+        "",
+        "strike",
+        "",
+        "",
+        "yes",
+        "",
+        "",
+        "",
+    ]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     file = tmp_path / "lab.toml"
     done = solimon_here("setup", str(file), "--json", "--no-web", env={})
@@ -135,11 +153,12 @@ def test_prompts_repeat_until_the_answer_is_valid(doubles, tmp_path, monkeypatch
     assert (answer["struck"], answer["proposal"]["taken"]) == (["B"], True)
     assert answer["transducers"]["B"]["output_terminal"] == "PFI12"
     assert len(coil_pulses_s(doubles.control.record())) == 1
-    assert load_settings(file).rig.daqmx.holdoff_s == answer["proposal"]["holdoff_s"]
+    settings = load_settings(file)
+    assert (settings.name, settings.rig.daqmx.holdoff_s) == ("Tank 3", answer["proposal"]["holdoff_s"])
 
 
 def test_a_person_s_own_values_take_the_place_of_those_proposed(doubles, tmp_path, monkeypatch):
-    wiring = ["", str(PULSE_S), "B", "", "", "", "", "strike", "go on", ""]
+    wiring = ["", "", str(PULSE_S), "B", "", "", "", "", "strike", "go on", ""]
     # A holdoff beyond the fall is refused, and all prompts repeat.
     own = ["no", "10", "0.4", "", "", "0.5", "10", "0.4", "", "2e-4", "0.012"]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*wiring, *own, "", "", ""]) + "\n"))

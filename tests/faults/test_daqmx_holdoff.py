@@ -130,8 +130,8 @@ def test_a_counter_of_another_board_of_the_chassis_starts_the_acquisition(double
 @pytest.mark.parametrize(
     ("position", "message"),
     [
-        ("E", r"PXI-6115 00F12015 by /PXI1Slot4/Ctr1InternalOutput.*of S Series ctr0 only.*-89136"),
-        ("G", r"01E16086 by /Dev9/Ctr2InternalOutput of PXIe-6386 0BAD0001.*same chassis.*-89125"),
+        ("E", r"PXI-6115 00F12015 by /PXI1Slot4/Ctr1InternalOutput.*S Series: ctr0.*-89136"),
+        ("G", r"01E16086 by /Dev9/Ctr2InternalOutput of PXIe-6386 0BAD0001.*in its chassis.*-89125"),
     ],
 )
 def test_a_board_that_the_counter_cannot_start_is_refused_before_a_test_begins(parameters, position, message):

@@ -80,7 +80,7 @@ def test_an_unknown_temperature_is_not_compared(doubles, parameters):
     found = survey_rig(parameters)
     finding = finding_of(found, f"board {SERIAL:08X}", "calibrated")
     assert (finding.state, finding.remedy) == ("ok", "")
-    assert "does not say how warm" in finding.detail
+    assert "does not report its temperature" in finding.detail
 
 
 def test_noise_near_the_trigger_level_is_a_warning(parameters):

@@ -428,7 +428,7 @@ def test_a_probe_without_its_sensor_is_refused(rig, temperature_c, complaint):
 
 def test_a_humidity_in_the_wrong_unit_is_refused(rig):
     rig.instruments.climate_link.do(lambda: setattr(rig.instruments.climate, "relative_humidity", 45.0))
-    with pytest.raises(ConnectionLostError, match="told in percent"):
+    with pytest.raises(ConnectionLostError, match="reported in percent"):
         rig.climate.read(TIMEOUT_S)
 
 

@@ -135,7 +135,7 @@ def test_a_protection_that_stays_off_keeps_the_output_off(tmp_path):
         rig.instruments.supply_link.answer = lambda command: (
             "OFF" if command == ":OUTP:OVP? CH1" else answer(command)
         )
-        with pytest.raises(ConfigurationError, match=r"was told :OUTP:OVP CH1,ON and says it is off"):
+        with pytest.raises(ConfigurationError, match=r"received :OUTP:OVP CH1,ON and reports that it is off"):
             rig.supply.energise(10.0, 1.0)
         assert rig.switched() == []
 

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from daq_service.alarms.guidance import format_guidance_markdown
+from daq_service.alarms.guidance import GUIDANCE, join_numbered_steps, name_contact
 from daq_service.cli.maintenance.acceptance.criteria import DEFAULTS
 from daq_service.web.answers.problem import PROBLEM_TYPES
 
@@ -26,6 +26,18 @@ def table(head: str, rows: Iterable[Iterable[str]]) -> str:
     titles = head.split(", ")
     lines = [titles, ["---"] * len(titles), *rows]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def alarms() -> str:
+    """Return the guidance on all kinds of alarm, one row per kind."""
+    rows = (
+        (
+            *(f"`{kind}`", found.meaning, found.limitations, join_numbered_steps(found.checks)),
+            *(found.action.replace("{position}", "the position"), found.consequence, name_contact(kind)),
+        )
+        for kind, found in GUIDANCE.items()
+    )
+    return table("Kind, Meaning, Limitations, Checks in order, Action, If not done, Contact", rows)
 
 
 def acceptance() -> str:
@@ -50,7 +62,7 @@ def problems() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "alarms": format_guidance_markdown,
+    "alarms": alarms,
     "acceptance": acceptance,
     "flags": flags,
     "problems": problems,

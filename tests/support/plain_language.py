@@ -9,7 +9,12 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
+import click
+from pygments.lexers import JavascriptLexer
+from pygments.token import String
+
 ROOT = Path(__file__).parents[2]
+PACKAGES = ("daq_service", "hardware_drivers", "analysis", "simulator")
 MOST_WORDS_PER_SENTENCE = 30
 LINK = re.compile(r"\[([^]]*)\]\(([^)]*)\)")
 REFUSED = re.compile(
@@ -52,7 +57,7 @@ def count_words(text: str) -> int:
 
 
 class _Texts(HTMLParser):
-    """Texts and labels of an HTML page."""
+    """Texts and labels of HTML."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,22 +72,41 @@ class _Texts(HTMLParser):
         self.found += [value or "" for name, value in attrs if name in ("aria-label", "title", "placeholder")]
 
 
+def list_html_texts(html: str) -> list[str]:
+    """List the texts and labels in HTML."""
+    parser = _Texts()
+    parser.feed(html)
+    parser.close()
+    return parser.found
+
+
+def list_script_strings(code: str) -> Iterator[str]:
+    """List the string literals of JavaScript, with `x` for each value in a template literal."""
+    nested: list[str | None] = []  # texts of open template literals; None: code inside the one before
+    for kind, text in JavascriptLexer().get_tokens(code):
+        if kind in (String.Double, String.Single):
+            yield text[1:-1]
+        elif kind is String.Interpol:
+            nested = [*nested, None] if text == "${" else nested[:-1]
+        elif kind is String.Backtick and text != "`":
+            nested[-1] = f"{nested[-1]}{text}"
+        elif kind is String.Backtick and nested and nested[-1] is not None:
+            yield f"{nested.pop()}"
+        elif kind is String.Backtick:
+            nested.append("")
+
+
 def list_page_texts() -> Iterator[tuple[str, str]]:
-    """List file and text of each label and sentence of the dashboard, its scripts included."""
-    folder = ROOT / "daq_service/web/dashboard"
-    for path in sorted(folder.glob("*.html")):
-        parser = _Texts()
-        parser.feed(path.read_text(encoding="utf-8"))
-        yield from ((path.name, text) for text in parser.found)
-    for path in sorted(folder.rglob("*.js")):
+    """List file and text of each label and sentence of the dashboard, with its scripts, and of reports."""
+    web = ROOT / "daq_service/web"
+    for path in sorted([*web.glob("dashboard/*.html"), *web.glob("templates/*.j2")]):
+        html = re.sub(r"{#.*?#}|{%.*?%}", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+        yield from ((path.name, text) for text in list_html_texts(re.sub(r"{{.*?}}", "x", html)))
+    for path in sorted((web / "dashboard").rglob("*.js")):
         if "vendor" not in path.parts:
-            code = re.sub(
-                r"/\*.*?\*/|(?<![:\"'`])//[^\n]*", "", path.read_text(encoding="utf-8"), flags=re.DOTALL
-            )
-            for text in re.findall(r'"((?:[^"\\\n]|\\.)*)"|`((?:[^`\\]|\\.)*)`', code):
-                words = re.sub(r"\$\{[^}]*\}", " x ", text[0] or text[1])
-                if " " in words.strip() and re.search(r"[a-z]{2}", words):
-                    yield path.name, words
+            for text in list_script_strings(path.read_text(encoding="utf-8")):
+                if " " in text.strip():
+                    yield from ((path.name, found) for found in list_html_texts(text))
 
 
 def _walk_strings(value: object) -> Iterator[str]:
@@ -96,41 +120,42 @@ def _walk_strings(value: object) -> Iterator[str]:
             yield from _walk_strings(item)
 
 
-def list_table_texts(*names: str) -> Iterator[tuple[str, str]]:
-    """List file and text of each string with a space in tables (TOML) below `daq_service`."""
-    for name in names:
-        for path in sorted((ROOT / "daq_service").glob(name)):
-            for text in _walk_strings(tomllib.loads(path.read_text(encoding="utf-8"))):
-                if " " in text.strip():
+def list_table_texts() -> Iterator[tuple[str, str]]:
+    """List file and text of each string with a space in tables (TOML), with `x` for each value filled in."""
+    for path in sorted(path for folder in PACKAGES for path in (ROOT / folder).rglob("*.toml")):
+        for text in _walk_strings(tomllib.loads(path.read_text(encoding="utf-8"))):
+            if " " in text.strip():
+                yield path.relative_to(ROOT).as_posix(), re.sub(r"{[^{}]*}", "x", text)
+
+
+def list_help_texts(command: click.Command, name: str = "solimon") -> Iterator[tuple[str, str]]:
+    """List name and text of each part of the help of a command and of the commands in it."""
+    context = click.Context(command, info_name=name, terminal_width=10_000, max_content_width=10_000)
+    yield from ((name, text) for text in re.split(r"\n|  +", command.get_help(context)) if text)
+    if isinstance(command, click.Group):
+        for inner in command.list_commands(context):
+            found = command.get_command(context, inner)
+            assert found is not None
+            yield from list_help_texts(found, f"{name} {inner}")
+
+
+def list_terminal_texts() -> Iterator[tuple[str, str]]:
+    """List file and text of each cell of the pictures of a terminal."""
+    for path in sorted((ROOT / "tests/end_to_end/terminal").glob("*.txt")):
+        cells = re.split(r"\n|  +", path.read_text(encoding="utf-8"))
+        yield from ((path.name, text) for text in cells if text)
+
+
+def list_printed_texts() -> Iterator[tuple[str, str]]:
+    """List file and text of each string of three words or more in the code, except docstrings."""
+    for path in sorted(path for folder in PACKAGES for path in (ROOT / folder).rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        skipped = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}  # docstrings
+        skipped |= {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+        for node in nodes:
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            if id(node) not in skipped and isinstance(node, ast.JoinedStr | ast.Constant):
+                values = [getattr(part, "value", None) for part in parts]
+                text = "".join(value if isinstance(value, str) else "x" for value in values)
+                if text.count(" ") >= 2:
                     yield path.relative_to(ROOT).as_posix(), text
-
-
-def list_printed_texts(folder: str) -> Iterator[tuple[str, str]]:
-    """List file and text of each string with three words or more in the code of a folder, without docstrings."""
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        docstrings = {
-            id(node.body[0].value)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-            and node.body
-            and isinstance(node.body[0], ast.Expr)
-        }
-        documented = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)} | docstrings
-        parts = {
-            id(part): node
-            for node in ast.walk(tree)
-            if isinstance(node, ast.JoinedStr)
-            for part in node.values
-        }
-        for node in ast.walk(tree):
-            if isinstance(node, ast.JoinedStr):
-                text = "".join(
-                    str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values
-                )
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
-                text = node.value
-            else:
-                continue
-            if id(node) not in documented and text.count(" ") >= 2:
-                yield path.relative_to(ROOT).as_posix(), text

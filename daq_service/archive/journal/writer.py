@@ -177,7 +177,7 @@ class Journal:
         try:
             self._write_buffers(content)
         except OSError as error:
-            log.warning("segment %06d of the journal takes no more: %s", self._number, error)
+            log.warning("segment %06d of the journal is not written any further: %s", self._number, error)
             self._close_segment()
             try:
                 self._write_buffers(content)

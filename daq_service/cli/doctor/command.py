@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,12 +16,13 @@ from daq_service.cli.doctor.machine import check_machine
 from daq_service.cli.doctor.software import check_software
 from daq_service.cli.doctor.storage import check_storage, lock_folder, read_lock_owner, refuse_if_owned
 from daq_service.cli.doctor.trial import Trial, check_strike_position, strike_transducer
+from daq_service.cli.inspection import find_calibration_warnings
 from daq_service.clock import WallClock
 from daq_service.processes.data_folder import DRIVE_LOCK, choose_folder, is_held
 from daq_service.rig.open_rig import build_opening
 from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import Instrument, list_instruments
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import PositionSettings, Settings
 from hardware_drivers.errors import InstrumentError
 
 Progress = Callable[[str], None]
@@ -103,6 +104,7 @@ def run_checks(settings: Settings, folder: Path, owner: str, progress: Progress)
     progress(f"data folder {folder}")
     yield _check_recorder(owner)
     yield from check_storage(settings, folder)
+    yield _check_calibrations(settings.positions)
     if owner:
         remedy = "stop the recorder first, or read `solimon status`"
         for name in (KNOWN_AS.get(item.name, item.name) for item in instruments):
@@ -154,7 +156,7 @@ def run_rig_checks(
                 for finding in item.kind.check(item.parameters, build_opening(item, settings, clock)):
                     yield build_finding_check(finding, instrument)
             except InstrumentError as error:
-                yield build_error_check(name, error, "see what its maker says of it")
+                yield build_error_check(name, error, "see the manufacturer's manual")
 
 
 def _build_skipped_check(name: str, found: str, remedy: str) -> Check:
@@ -172,6 +174,14 @@ def _check_recorder(owner: str) -> Check:
         return Check("recorder", name, "ok", "no recorder owns the data folder")
     problem, _, remedy = owner.partition("; ")
     return Check("recorder", name, "fail", problem, remedy)
+
+
+def _check_calibrations(positions: Mapping[str, PositionSettings]) -> Check:
+    """Warn of sensors whose external calibration is overdue."""
+    warnings = find_calibration_warnings(positions)
+    found = "; ".join(warnings) or "no external calibration is overdue"
+    remedy = "calibrate the sensor, then correct the date"
+    return Check("rig", "sensors: calibration", "warn" if warnings else "ok", found, remedy)
 
 
 # What a person or a program reads --------------------------------------------------------------------

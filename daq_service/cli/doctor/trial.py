@@ -91,8 +91,8 @@ def check_strike_position(settings: Settings, position: str) -> None:
         )
     if settings.rig.dry_run:
         raise UsageError(
-            "--strike: dry_run is true, so no coil is ever energised; set it to false when nobody "
-            "has hands in the rig"
+            "--strike: dry_run is true, so no coil is energized; set it to false when all "
+            "hands are out of the rig"
         )
 
 
@@ -143,7 +143,7 @@ def _take_shot(
             )
     except InstrumentError as error:
         failed_check = build_error_check(
-            f"strike {position}: record", error, "mend what failed above, then strike"
+            f"strike {position}: record", error, "fix what failed above, then strike"
         )
         return Trial(position=position, checks=(failed_check,))
     took_s = time.monotonic() - started_s

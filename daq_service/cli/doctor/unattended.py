@@ -107,7 +107,7 @@ def _is_windows_sleep_disabled(ask: Ask) -> bool | None:
 def _check_updates(ask: Ask, system: str) -> Check:
     """Check that updates do not restart the computer and no restart is pending; warn if so, or if unknown."""
     waits, restarts, source = None, None, f"not asked on {system}"
-    remedy = "let updates restart this computer only when a person says so"
+    remedy = "let updates restart this computer only when a person requests it"
     if system == "linux":
         waits, restarts, source = _read_linux_updates(ask)
         remedy = f'set {REBOOT} "false"; in /etc/apt/apt.conf.d, or stop the timers of your updater'
@@ -190,6 +190,6 @@ def _read_defender_exclusion(folder: Path, ask: Ask) -> tuple[bool | None, str]:
     if on == "False":
         return True, "Windows Defender is off"
     if any(line.startswith("N/A") for line in excepted):
-        return None, "Windows Defender; its exceptions are unknown: it tells them to administrators alone"
+        return None, "Windows Defender; its exceptions are unknown: only administrators can list them"
     covered = any(PureWindowsPath(folder).is_relative_to(PureWindowsPath(line)) for line in excepted if line)
     return covered, f"Windows Defender; {folder} is {'an exception' if covered else 'no exception'}"

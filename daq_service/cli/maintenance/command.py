@@ -26,6 +26,7 @@ PROGRESS_EVERY_S = 10.0
 LOWEST_PRIORITY = 19
 OPTIONS_OF_EXPORT: Mapping[str, Collection[str]] = {
     "hdf5": (),
+    "ro_crate": ("license", "author"),
     "table": ("out", "position", "from_h", "to_h", "fields", "purpose"),
     "waveforms": ("out", "from_h", "to_h", "first_set", "last_set"),
 }
@@ -75,7 +76,7 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
                 try:
                     execute_repair_step(data_dir, step, backup)
                 except OSError as error:
-                    raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
+                    raise StorageError(f"{step.file}: {error}; repair the disk and start again") from error
             report = verify_folder(data_dir, _create_progress_printer("files"))
     damage = [asdict(item) for item in report.damage]
     lines = [f"{step.does:<13} {step.file}: {step.reason}" for step in steps]
@@ -108,6 +109,7 @@ def run_export(
     *,
     data_dir: Path,
     hdf5: Path | None,
+    ro_crate: Path | None,
     table: str | None,
     waveforms: str | None,
     targets: Sequence[Path],
@@ -115,22 +117,23 @@ def run_export(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Run `solimon export`: write one file of a test, a table or waveforms.
+    """Run `solimon export`: write one file of a test, a folder for a repository, a table or waveforms.
 
     Returns 4 if a set's file is unreadable and therefore left out, otherwise 0. Raises UsageError unless
     exactly one kind is chosen with options that belong to it; otherwise the errors of the export functions.
     """
-    kinds = {"hdf5": hdf5, "table": table, "waveforms": waveforms}
+    kinds = {"hdf5": hdf5, "ro_crate": ro_crate, "table": table, "waveforms": waveforms}
     chosen = [name for name, value in kinds.items() if value is not None]
     if len(chosen) != 1:
         raise UsageError(
-            "give --hdf5 FILE, or --table NAME with --out FILE, or --waveforms POSITION with --out FILE"
+            "give --hdf5 FILE, --ro-crate FOLDER, --table NAME with --out FILE, or --waveforms POSITION with "
+            "--out FILE"
         )
-    given = {name: value for name, value in options.items() if value is not None}
+    given = {name: value for name, value in options.items() if value not in (None, ())}
     known = OPTIONS_OF_EXPORT[chosen[0]]
     if foreign := [name for name in [*given, *(["out"] if targets else [])] if name not in known]:
         sentence = ", ".join(f"--{name.replace('_', '-')}" for name in foreign)
-        raise UsageError(f"{sentence} does not belong to --{chosen[0]}; leave it out")
+        raise UsageError(f"{sentence} does not belong to --{chosen[0].replace('_', '-')}; leave it out")
     if "out" in known and not targets:
         raise UsageError(f"--{chosen[0]} needs --out FILE")
     if table is not None:
@@ -145,9 +148,11 @@ def run_export(
 
         records = RecordChoice(position=waveforms, **given)
         return _print_files(export_records(data_dir, records, targets, overwrite=overwrite), as_json=as_json)
+    if ro_crate is not None:
+        return _export_ro_crate(data_dir, ro_crate, overwrite=overwrite, as_json=as_json, **given)
     from daq_service.cli.maintenance.export import export_hdf5
 
-    assert hdf5 is not None, "one of the two is given"
+    assert hdf5 is not None, "one of the kinds is given"
     file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_create_progress_printer("sets"))
     lines = [f"left out  {sentence}" for sentence in file.left_out.values()]
     if file.waiting:
@@ -155,6 +160,34 @@ def run_export(
     lines.append(f"{file.file}: {file.sets} sets, {file.shots} records ({file.n_bytes / 1e6:.1f} MB)")
     print_result({"ok": not file.left_out, **asdict(file)}, lines, as_json=as_json)
     return StorageError.exit_code if file.left_out else EXIT_OK
+
+
+def _export_ro_crate(
+    data_dir: Path,
+    folder: Path,
+    *,
+    overwrite: bool,
+    as_json: bool,
+    license: str | None = None,  # noqa: A002 - the name of the option
+    author: Sequence[str] = (),
+) -> int:
+    """Export a folder for a repository and print what it holds; return 4 if a set is left out, else 0."""
+    from daq_service.cli.maintenance.ro_crate import REPORT, export_ro_crate
+
+    crate = export_ro_crate(
+        *(data_dir, folder),
+        license_name=license,
+        authors=author,
+        overwrite=overwrite,
+        progress=_create_progress_printer("sets"),
+    )
+    lines = [f"left out  {name}: {reason}" for name, reason in crate.left_out.items()]
+    if license is None:
+        lines.append("license   none; add one with --license before you publish the folder")
+    lines.append(f"{folder}: {crate.sets} sets, {crate.files} files ({crate.n_bytes / 1e6:.1f} MB)")
+    is_complete = not crate.left_out.keys() - {REPORT}
+    print_result({"ok": is_complete, **asdict(crate)}, lines, as_json=as_json)
+    return EXIT_OK if is_complete else StorageError.exit_code
 
 
 def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:

@@ -126,7 +126,7 @@ def _find_backup_objection(backup: Path, file: SetReference, rows: RowsOfSet | N
     if not (backup / file).is_file():
         return f"{backup / file} is not there"
     if rows is None:
-        return "there are no rows to compare it with; mend the catalogue first"
+        return "there are no rows to compare it with; repair the catalogue first"
     found = check_set_file(backup / file, sha256=find_stored_sha256(rows.sets, file))
     if found.touched or found.damages or found.record is None:
         return f"{backup / file} is damaged, too"

@@ -340,7 +340,7 @@ def _compare_with_rows(
     named, due_s = parse_set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
     if (named, parse_due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):
         description = (
-            f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
+            f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: the file was renamed"
         )
         yield Finding("metadata", reference, f"{description}; {BACK}")
         return
@@ -448,7 +448,7 @@ def _list_notes(state: FolderCheck) -> list[str]:
     if foreign:
         notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(foreign)}")
     if quarantined:
-        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what nobody needs")
+        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what is not needed")
     if caches := sorted(name for name in CACHES if (state.folder / name).exists()):
         notes.append(f"caches, not checked and safe to delete: {', '.join(caches)}")
     return notes

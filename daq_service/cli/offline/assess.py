@@ -107,7 +107,7 @@ def run_assess(
         Invalid options, at once; a missing file or column, after the other results are printed.
     """
     if (baseline_rows is None) == (baseline_where is None):
-        raise UsageError("say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
+        raise UsageError("the baseline is not given: use --baseline-rows N or --baseline-where COLUMN=VALUE")
     where = None
     if baseline_where is not None:
         column, equals, value = baseline_where.partition("=")
@@ -123,7 +123,7 @@ def run_assess(
     design = Budget(alarms_per_year=budget, sets_per_day=sets_per_day)
     if not 1.0 < design.run_length <= LONGEST_RUN:
         raise UsageError(
-            f"--budget {budget:g} at {sets_per_day:g} sets a day is an alarm in {design.run_length:.3g} "
+            f"--budget {budget:g} at {sets_per_day:g} sets per day is an alarm in {design.run_length:.3g} "
             f"sets; charts are designed for more than 1 and at most {LONGEST_RUN:.0e}"
         )
     with _open_parallel_map(tables) as mapped:
@@ -208,7 +208,7 @@ def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool)
         return answer
     not_assessed, rows = None, len(table.vectors)
     if table.in_baseline[-1]:
-        not_assessed = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
+        not_assessed = f"the last of {rows} rows is baseline: no row is assessed; give a smaller baseline"
         click.echo(f"{path}: {not_assessed}", err=True)
     return replace(
         answer,
@@ -272,9 +272,9 @@ def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
         first = answer.first[name]
         since = "" if first is None else f", first row {first}"
         caveat = f"; {LIMITS[name].caveat}" if LIMITS[name].caveat else ""
-        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {answer.count[name]}{since}{caveat}")
+        lines.append(f"  {name:<15} limit {limit:9.2f}  above {answer.count[name]}{since}{caveat}")
     lines.append(f"  default    {answer.default_because}")
-    promise = f"{budget:g} false alarms a year at {sets_per_day:g} sets a day"
+    promise = f"{budget:g} false alarms per year at {sets_per_day:g} sets per day"
     rate_text = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"
     raised = ", ".join(map(str, alarm["rows"][:10])) + (" ..." if len(alarm["rows"]) > 10 else "")
     lines.append(f"  alarms     {f'at rows {raised}' if alarm['rows'] else 'none'} ({rate_text})")

@@ -15,7 +15,7 @@ from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 
 NO_LINE = re.compile(r"\s*|sep=.\s*", re.IGNORECASE)
-COMMENTS = "comments stand before all other lines: move it there, or take it out"
+COMMENTS = "comments must come before all other lines: move it there, or remove it"
 
 
 class NoTableError(UsageError):

@@ -233,7 +233,7 @@ def _extract_record_features(where: str, record: Record, settings: ExtractionSet
         )
     except RecordError as error:
         raise UsageError(
-            f"{where}: {error} (--rate-hz, --pretrigger-s, --isw-fwhm-s say what it is; "
+            f"{where}: {error} (--rate-hz, --pretrigger-s, --isw-fwhm-s describe it; "
             "a row of a table is a record, not a sample)"
         ) from error
 

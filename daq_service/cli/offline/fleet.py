@@ -281,7 +281,7 @@ def _stack_tables(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
 
 def describe_fleet(answer: Fleet) -> str:
     """Format the result of the fleet as lines of text: raised sensors, shared changes, alarms kept back."""
-    sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
+    sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} assessed"
     raised = (
         f"{len(answer['raised'])} raised, of which at most {answer['false_discovery_rate']:.0%} are false"
     )

@@ -218,7 +218,7 @@ def _read_columns(path: Path) -> Columns:
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1 or not 0 < max(lengths) <= MOST_ROWS:
         rows = max(lengths, default=0)
-        raise NoTableError(f"{path}: {rows} rows; a table has a row a set, 1 to {MOST_ROWS:,} of them")
+        raise NoTableError(f"{path}: {rows} rows; a table has one row per set, 1 to {MOST_ROWS:,} of them")
     return columns, decimal
 
 

@@ -1,15 +1,26 @@
-"""Compare the paper's values with ours: deviation and cause, row by row."""
+"""Compare the paper's values with ours: deviation, agreement and cause, row by row."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from daq_service.cli.reproduce.diagnosis import GIVEN, find_deviation_cause
+from daq_service.cli.reproduce.diagnosis import find_deviation_cause
 from daq_service.cli.reproduce.item import Found, no_value
-from daq_service.cli.reproduce.paper_values import PaperValue, list_paper_values
+from daq_service.cli.reproduce.paper_values import Kind, PaperValue, list_paper_values
 
 NOT_AVAILABLE = "not available"
+TOLERANCES_PERCENT = (1, 3, 10)
+"""Of the paper's number, also where that is a percentage itself."""
+AGREEMENTS = {
+    **{f"within_{tolerance}_percent": f"within {tolerance} %" for tolerance in TOLERANCES_PERCENT},
+    "within_scatter": "within the paper's scatter",
+    "outside": "no agreement",
+    "words": "words only in the paper",
+    "not_available": NOT_AVAILABLE,
+}
+"""How a prediction agrees with the paper, as text by its name in JSON, the narrowest first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,15 +32,18 @@ class Row:
     deviation
         Ours less the paper's, in `unit`; None where one of them is no number.
     deviation_percent
-        The same relative to the paper's; None also where that is 0 or the unit is %.
+        The same relative to the paper's; None also where that is 0.
+    agreement
+        Of a prediction: the first of `AGREEMENTS` that applies; empty for other kinds.
     cause
-        Why they differ; empty where they agree to rounding, unless the twin was given the value.
+        Why they differ, or who gave the twin the value; empty where that is not known.
     """
 
     item: str
     quantity: str
     text: str
     where: str
+    kind: Kind
     unit: str
     paper: float | None
     paper_shown: str
@@ -38,6 +52,7 @@ class Row:
     ours_words: str
     deviation: float | None
     deviation_percent: float | None
+    agreement: str
     cause: str
 
     @property
@@ -47,7 +62,7 @@ class Row:
             return "-"
         if _is_rounding_only(self.deviation, self.paper):
             return "none"
-        if self.deviation_percent is not None:
+        if self.deviation_percent is not None and self.unit != "%":
             return f"{self.deviation_percent:+.1f} %"
         return f"{self.deviation:+.3g} {'points' if self.unit == '%' else self.unit}"
 
@@ -76,38 +91,18 @@ def compare_item(
     ]
 
 
-def count_by_result(rows: Sequence[Row]) -> dict[str, int]:
-    """Count the paper's values by result: agree (to rounding), deviate, words only, not available.
-
-    "values" is their total.
-    """
-    counts = {"values": len(rows), "agree": 0, "deviate": 0, "words": 0, "not_available": 0}
-    for row in rows:
-        if row.ours is None:
-            counts["not_available"] += 1
-        elif row.deviation is None:
-            counts["words"] += 1
-        else:
-            counts["agree" if _is_rounding_only(row.deviation, row.paper) else "deviate"] += 1
-    return counts
-
-
 def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
-    """Compare one value of the paper with ours: deviation in its unit and in %, and the cause.
+    """Compare one value of the paper with ours: deviation in its unit and in %, agreement, and the cause.
 
-    The relative deviation is None if the paper's value is 0, missing, or in %. ``origin`` as in
-    `compare_item`.
+    ``origin`` as in `compare_item`.
     """
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
-    relative = None
-    if deviation is not None and value.value and value.unit != "%":
-        relative = 100.0 * deviation / value.value
-    agrees = deviation is not None and _is_rounding_only(deviation, value.value)
     return Row(
         item=value.item,
         quantity=value.quantity,
         text=value.text,
         where=value.where,
+        kind=value.kind,
         unit=value.unit,
         paper=value.value,
         paper_shown=_format_paper_value(value),
@@ -115,23 +110,29 @@ def _compare_value(value: PaperValue, ours: Found, *, origin: str) -> Row:
         ours_shown=NOT_AVAILABLE if ours.value is None else _format_our_value(ours.value, value),
         ours_words=ours.words if ours.value is not None else ours.reason,
         deviation=deviation,
-        deviation_percent=relative,
-        cause=_choose_shown_cause(value, ours, agrees=agrees, origin=origin),
+        deviation_percent=100.0 * deviation / value.value if deviation is not None and value.value else None,
+        agreement=_assess_agreement(value, ours.value) if value.kind == "predicted" else "",
+        cause="" if ours.value is None else find_deviation_cause(value, origin=origin),
     )
+
+
+def _assess_agreement(value: PaperValue, ours: float | None) -> str:
+    """Return the first of `AGREEMENTS` that applies to our prediction of a value of the paper."""
+    if ours is None:
+        return "not_available"
+    if value.value is None:
+        return "words"
+    for tolerance in TOLERANCES_PERCENT:
+        limit = 0.01 * tolerance * abs(value.value)
+        if abs(ours - value.value) <= limit * (1.0 + 1e-9):  # rounding at the limit itself
+            return f"within_{tolerance}_percent"
+    low, high = value.scatter or (math.inf, -math.inf)
+    return "within_scatter" if low <= ours <= high else "outside"
 
 
 def _is_rounding_only(deviation: float, paper: float | None) -> bool:
     """Return whether a deviation is below 1e-9, relative to the paper's value if that exceeds 1."""
     return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
-
-
-def _choose_shown_cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
-    """Return the cause of a deviation to show; empty if there is no value of ours or both agree.
-
-    That the twin was given the value is returned in any case. ``origin`` as in `compare_item`.
-    """
-    cause = "" if ours.value is None else find_deviation_cause(value, origin=origin)
-    return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
 def _format_paper_value(value: PaperValue) -> str:

@@ -35,7 +35,7 @@ def draw_outlier_figure(material: item.Material) -> item.Product:
         )
     figure, axes = style.create_panels(names, "Mahalanobis squared distance (1)", height_in=3.6)
     for axis, name in zip(axes, names, strict=True):
-        _draw_distances(axis, test.pulses[name], baseline_h, style.choose_colour(name, names))
+        _draw_distances(axis, test, test.pulses[name], style.choose_colour(name, names))
     style.add_legend(figure, ncols=4)
     columns = (
         *("distance_squared", "limit_f_predictive", "limit_mean_3sd"),
@@ -43,7 +43,10 @@ def draw_outlier_figure(material: item.Material) -> item.Product:
     )
     return item.Product(
         drawing=figure,
-        tables={"": item.stack_columns(test, lambda pulses: {name: pulses.values[name] for name in columns})},
+        tables={
+            "": item.stack_columns(test, lambda pulses: {name: pulses.values[name] for name in columns}),
+            "detections": _make_detection_table(test),
+        },
         found=_compute_outlier_values(test),
         notes=tuple(
             f"{name}: baseline of {pulses.baseline.n_sets} sets, {_describe_outliers(pulses)}."
@@ -53,8 +56,12 @@ def draw_outlier_figure(material: item.Material) -> item.Product:
     )
 
 
-def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) -> None:
-    """Draw the distances of a position with our limits and, for B to D, the paper's; logarithmic axis."""
+def _draw_distances(axis: Axes, test: Evidence, pulses: Series, colour: str) -> None:
+    """Draw the distances of a position with our limits, the first alarm and, for B to D, the paper's limits.
+
+    The axis is logarithmic; the twin's true wall loss is written at the alarm.
+    """
+    baseline_h = test.settings.baseline.hours
     axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
     last_h = float(pulses.hour_h[-1]) if pulses.hour_h.size else 0.0
     if last_h > SPLIT_H:
@@ -69,7 +76,23 @@ def _draw_distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) 
         for source, dash in (("text", ":"), ("caption", "-.")):
             value = printed_number("fig14", f"limit_{source}_{pulses.position}")
             axis.axhline(value, color=style.GREY, lw=1.2, ls=dash, label=f"paper's limit, {source}")
+    if pulses.first_alarm_h is not None:
+        axis.axvline(pulses.first_alarm_h, color=style.PURPLE, lw=1.2, label="first alarm")
+        truth, to_axis = test.describe_true_loss(pulses.position), axis.get_xaxis_transform()
+        axis.text(pulses.first_alarm_h, 0.02, truth, transform=to_axis, rotation=90, va="bottom", fontsize=6)
     axis.set_yscale("log")
+
+
+def _make_detection_table(test: Evidence) -> item.Table:
+    """Build a table of the first alarm of each kind at each position, with the true wall loss."""
+    found = [
+        (name, hour_h, kind.replace("_", " "), test.find_true_loss_mm(name, hour_h))
+        for name, series in {**test.pulses, **test.echoes}.items()
+        for kind, hour_h in series.alarms_h.items()
+    ]
+    rows = sorted(found, key=lambda row: row[:2])
+    names = ("position", "detected_h", "alarm", "true_wall_loss_mm")
+    return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
 
 
 def _outlier_percentage(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
@@ -90,7 +113,7 @@ def _describe_outliers(pulses: Series) -> str:
     for limit, outlier in (("mean + 3 SD", "outlier_mean_3sd"), ("the exact limit", "outlier")):
         share, n = _outlier_percentage(pulses, outlier, SPLIT_H)
         parts.append(
-            f"no set judged after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
+            f"no set assessed after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
         )
     return " and ".join(dict.fromkeys(parts))
 
@@ -114,6 +137,7 @@ def _compute_outlier_values(test: Evidence) -> dict[str, item.Found]:
             keys = ("limit_text", "limit_caption", "outliers_paper", "outliers_f", "outliers_late")
             values |= {f"{key}_{name}": item.no_value(why) for key in keys}
             continue
+        values[f"limit_f_{name}"] = item.make_value(baseline.limit_f_predictive)
         for source in ("text", "caption"):
             values[f"limit_{source}_{name}"] = item.make_value(
                 baseline.limit_mean_3sd, f"{baseline.n_sets} sets", reason=str(baseline.limit_reason)
@@ -124,7 +148,7 @@ def _compute_outlier_values(test: Evidence) -> dict[str, item.Found]:
             ("outliers_late", "outlier_mean_3sd", LATE_H),
         ):
             share, n = _outlier_percentage(pulses, outlier, from_h)
-            reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
+            reason = f"no set was assessed after hour {from_h:g} (last: {test.last_h:g})"
             values[f"{key}_{name}"] = item.make_value(share, f"of {n} sets", reason=reason)
     return values
 
@@ -144,7 +168,8 @@ def _find_loss_at_first_alarm(test: Evidence) -> item.Found:
     loss_m = _median_near(probe, "thickness_loss_m", hour)
     if loss_m is None:
         return item.no_value(f"no ultrasonic reading near hour {hour:g}")
-    return item.make_value(1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
+    words = f"read at {probe.position} at hour {hour:g}, first alarm at {name}; "
+    return item.make_value(1e3 * loss_m, words + test.describe_true_loss(name))
 
 
 def _median_near(probe: Series, column: str, hour: float) -> float | None:
@@ -251,18 +276,20 @@ def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | N
         return dict.fromkeys(names, item.no_value("the test has no pulse-echo position A"))
     initial_m = test.settings.ultrasound.initial_thickness_m
     values = {"initial": item.make_value(1e3 * initial_m, "configured")}
+    truth, thickness_m = _read_true_thickness(test, probe.position), probe.values["thickness_m"]
     read_m = _median_near(probe, "thickness_m", READ_H)
     if read_m is not None:
+        if truth is not None:
+            values["true_300"] = item.make_value(1e3 * float(np.interp(READ_H, *truth)))
         values["thickness_300"] = item.make_value(1e3 * read_m)
         values["loss_300"] = item.make_value(100.0 * (1.0 - read_m / initial_m))
     else:
         absent = item.no_value(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
         values |= dict.fromkeys(names[:2], absent)
-    truth, thickness_m = _read_true_thickness(test, probe.position), probe.values["thickness_m"]
     last = thickness_m[np.isfinite(thickness_m)][-1:]
     read = f"; the probe then reads {1e3 * float(last[0]):.2f} mm" if last.size else ""
     values["core"] = (
-        item.no_value(f"nobody cored this test's plate{read}")
+        item.no_value(f"the plate of this test was not cored{read}")
         if truth is None
         else item.make_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )

@@ -69,8 +69,8 @@ def _list_check_results(test: Evidence) -> Sequence[str]:
         lag = _check_autocorrelation(pulses, test.traces.get(name, ()))
         if lag is not None:
             sentences.append(
-                f"Autocorrelation of {lag[1]} averaged records at {name}: its lag lies within {lag[0]:.2f} "
-                "us of the set's mean by single shots."
+                f"Autocorrelation of {lag[1]} averaged records at {name}: its lag agrees within "
+                f"{lag[0]:.2f} µs with the set's mean by single shots."
             )
     for name, probe in test.echoes.items():
         spread = _check_equation_17(probe, test.settings.ultrasound)

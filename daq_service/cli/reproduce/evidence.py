@@ -6,7 +6,7 @@ are the folder's own; missing data stay empty, and the figures state that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -60,8 +60,8 @@ class Series:
         `ASSESSED` (1 yes, 0 no) of a solitary-wave transducer, `ECHOES` of an ultrasonic probe.
     baseline
         Row of the catalogue; None before it is frozen, and of a probe.
-    first_alarm_h
-        Hour of the first alarm about the wall, None where there is none.
+    alarms_h
+        Hour of the first alarm about the wall by its kind; empty where there is none.
     """
 
     position: str
@@ -70,7 +70,12 @@ class Series:
     hour_h: FloatArray
     values: Mapping[str, FloatArray]
     baseline: BaselineRow | None
-    first_alarm_h: float | None
+    alarms_h: Mapping[str, float]
+
+    @property
+    def first_alarm_h(self) -> float | None:
+        """Return the hour of the first alarm about the wall, None where there is none."""
+        return min(self.alarms_h.values(), default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,6 +115,8 @@ class Evidence:
         Of the twin; None for a real specimen.
     traces
         By position: `TRACES` sets or fewer.
+    at_alarms
+        By position: the sets that raised an alarm at any.
     trouble
         What could not be read, each a sentence.
     """
@@ -125,6 +132,7 @@ class Evidence:
     pulses: Mapping[str, Series]
     echoes: Mapping[str, Series]
     traces: Mapping[str, Sequence[Trace]]
+    at_alarms: Mapping[str, Sequence[Trace]] = field(default_factory=dict)
     trouble: tuple[str, ...] = ()
 
     @property
@@ -132,6 +140,20 @@ class Evidence:
         """Return the hour of the last set of any position; 0 without sets."""
         series = (*self.pulses.values(), *self.echoes.values())
         return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
+
+    def find_true_loss_mm(self, position: str, hour_h: float) -> float | None:
+        """Return the wall loss that the twin knows at the set of an alarm, in mm; None if it is not known."""
+        truth = next((one.truth for one in self.at_alarms.get(position, ()) if one.hour_h == hour_h), {})
+        if "depth_fraction" in truth:
+            return 1e3 * truth["depth_fraction"] * self.pulses[position].settings.plate.thickness_m
+        if "thickness_m" in truth:
+            return 1e3 * (self.settings.ultrasound.initial_thickness_m - truth["thickness_m"])
+        return None
+
+    def describe_true_loss(self, position: str) -> str:
+        """Describe the wall loss that the twin knows at the first alarm of a transducer in words."""
+        loss_mm = self.find_true_loss_mm(position, self.pulses[position].first_alarm_h or 0.0)
+        return f"true wall loss {'not known' if loss_mm is None else f'{loss_mm:.2f} mm'}"
 
 
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
@@ -160,7 +182,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     except NoDataYetError as error:
         raise StorageError(
             describe_loss(folder)
-            or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
+            or f"{folder} holds no test; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
     except ValidationError as error:
@@ -170,7 +192,12 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    traces, trouble = _average_selected_sets(FolderSetReader(folder), sets) if with_traces else ({}, ())
+    stored = [row for row in sets if row.file is not None] if with_traces else []
+    hours = [row.due_h for row in sets]
+    archive, spread_h = FolderSetReader(folder), np.linspace(min(hours), max(hours), TRACES)
+    traces, trouble = _average_selected_sets(archive, stored, spread_h)
+    alarms_h = [hour_h for one in series for hour_h in one.alarms_h.values()]
+    at_alarms, _ = _average_selected_sets(archive, stored, alarms_h)
     return Evidence(
         folder=folder,
         name=row.name,
@@ -183,6 +210,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         pulses={one.position: one for one in series if one.settings.method == SOLITARY_WAVE},
         echoes={one.position: one for one in series if one.settings.method == PULSE_ECHO},
         traces=traces,
+        at_alarms=at_alarms,
         trouble=trouble,
     )
 
@@ -199,9 +227,7 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
             of_set = dict(zip(assessments["set_index"], assessments[name], strict=True))
             columns[name] = [of_set.get(index) for index in found["set_index"]]
     columns |= {name: found[name] for name in found if name not in ("set_index", "due_h")}
-    alarms_h = [
-        row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
-    ]
+    alarms = sorted(catalogue.rows(AlarmRow, position=position), key=lambda row: -row.raised_h)
     return Series(
         position=position,
         settings=settings,
@@ -209,7 +235,7 @@ def _read_series(catalogue: Catalogue, position: str, settings: PositionSettings
         hour_h=_to_float_array(found["due_h"]),
         values={name: _to_float_array(values) for name, values in columns.items()},
         baseline=catalogue.baseline(position),
-        first_alarm_h=min(alarms_h, default=None),
+        alarms_h={row.kind: row.raised_h for row in alarms if row.alarm_class == "damage"},
     )
 
 
@@ -219,25 +245,21 @@ def _to_float_array(values: Sequence[float | bool | None]) -> FloatArray:
 
 
 def _average_selected_sets(
-    archive: SetReader, sets: Sequence[SetRow]
+    archive: SetReader, sets: Sequence[SetRow], at_h: Iterable[float]
 ) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
-    """Average the records of up to `TRACES` sets evenly spread over the hours, first and last included.
+    """Average the records of the sets next to the hours ``at_h``, each once.
 
     Returns the traces by position, and a sentence for each set that cannot be read.
     """
-    files = {row.set_index: SetReference(row.file) for row in sets if row.file is not None}
-    hour_of = {row.set_index: row.due_h for row in sets}
-    stored = sorted(files)
-    hours = np.array([hour_of[index] for index in stored])
-    wanted = np.linspace(hours[0], hours[-1], TRACES) if stored else np.empty(0)
-    chosen = sorted({stored[int(np.argmin(np.abs(hours - hour)))] for hour in wanted})
+    hours = np.array([row.due_h for row in sets])
+    chosen = {int(np.argmin(np.abs(hours - hour))) for hour in at_h} if sets else ()
     traces: dict[str, list[Trace]] = {}
     trouble = []
-    for index in chosen:
+    for row in (sets[index] for index in sorted(chosen)):
         try:
-            record = archive.read_set(files[index], skip_damaged=True)
+            record = archive.read_set(SetReference(str(row.file)), skip_damaged=True)
         except ArchiveError as error:
-            trouble.append(f"set {index} is left out of the waveforms: {error}")
+            trouble.append(f"set {row.set_index} is left out of the waveforms: {error}")
             continue
         for position in (place.position for place in record.positions):
             trace = _average_records(record, position)

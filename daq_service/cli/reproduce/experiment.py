@@ -16,17 +16,19 @@ from daq_service.settings.tree import Settings
 
 BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
 """Alarm rule of the paper: sets are assessed one by one."""
+VARIABILITY = "laboratory"
+"""Environmental and operational variability of the test, as in the demonstration."""
 
 _ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError, BusyError)}
 
 
 def load_twin_settings(seed: int | None) -> Settings:
-    """Read the shipped configuration, with the paper's alarm rule instead of the control chart.
+    """Read the shipped configuration, with `VARIABILITY` and the paper's alarm rule, not the control chart.
 
     Environment variables override it, and the seed unless it is None. Raises UsageError for an invalid value.
     """
-    given = {} if seed is None else {"twin": {"seed": seed}}
-    return load_settings(None, overrides={**BY_SETS, **given})
+    given = {} if seed is None else {"seed": seed}
+    return load_settings(None, overrides={**BY_SETS, "twin": {"nuisance": VARIABILITY, **given}})
 
 
 def run_twin_test(

@@ -126,7 +126,7 @@ class Material:
         """
         value = self.results[name]
         if isinstance(value, Exception):
-            raise NotAvailableError(f"the model says: {value}") from value
+            raise NotAvailableError(f"the model refuses: {value}") from value
         return value
 
     @property

@@ -24,7 +24,9 @@ CASE_3 = 0.258
 """Lambda of the paper's Table 2, case 3."""
 
 _SPHERE, _DISK = ChainParameters(sensor="sphere"), ChainParameters(sensor="disk")
-_STRONG = replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)
+_STRONG_SPHERE, _STRONG_DISK = (
+    replace(chain, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M) for chain in (_SPHERE, _DISK)
+)
 _PLATE, _SOLID = PlateParameters(), PlateParameters(model="solid")
 _PATCH, _LARGE_PATCH = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
 _GRID = tuple(float(x) for x in np.linspace(0.0, 2.0, 41))
@@ -99,6 +101,7 @@ def draw_impact_figure(material: item.Material) -> item.Product:
         found={
             "e_case_3": item.make_value(case_3["e_eq8"][0], "eq. 8"),
             "tau_c_case_3": item.make_value(case_3["tau_c_eq8"][0], "eq. 8"),
+            **{name: item.make_value(values[0]) for name, values in case_3.items()},
         },
         notes=(
             (
@@ -132,18 +135,17 @@ def _build_zener_job(*, closed_form: bool) -> item.Job:
 
 
 _ISW_CURVES = {
-    "disk": _Curve("coupled model, sensor two disks", style.BLUE, "-", _build_isw_job(_DISK)),
-    "sphere": _Curve("coupled model, sensor a sphere", style.SKY, "-", _build_isw_job(_SPHERE)),
-    "disk_gamma": _Curve(
-        "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _build_isw_job(_STRONG)
-    ),
+    "sphere": _Curve("coupled model, sensor a sphere (paper)", style.SKY, "-", _build_isw_job(_SPHERE)),
+    "disk": _Curve("coupled model, sensor two disks (rig)", style.BLUE, "-", _build_isw_job(_DISK)),
+    "sphere_gamma": _Curve("sphere, gamma 1,000 N s/m", style.ORANGE, "-", _build_isw_job(_STRONG_SPHERE)),
+    "disk_gamma": _Curve("disks, gamma 1,000 N s/m", style.VERMILLION, "-", _build_isw_job(_STRONG_DISK)),
     "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _build_zener_job(closed_form=False)),
-    "zener_closed": _Curve("Zener, eqs 10 and 12", style.ORANGE, ":", _build_zener_job(closed_form=True)),
+    "zener_closed": _Curve("Zener, eqs 10 and 12", style.PURPLE, ":", _build_zener_job(closed_form=True)),
 }
 _ISW_MARKS = (
-    (0, "numerical", "tof", "center"),
+    (0, "numerical", "sphere_tof", "center"),
     (0, "Zener", "tof_zener", "bottom"),
-    (1, "numerical", "ar", "center"),
+    (1, "numerical", "sphere_ar", "center"),
     (1, "Zener", "ar_zener", "bottom"),
     (1, "measured", "ar_measured", "top"),
 )
@@ -164,7 +166,7 @@ def draw_isw_figure(material: item.Material) -> item.Product:
             text, (1.0, value), (6, offset_points), textcoords="offset points", va=side, fontsize=7
         )
     for axis, nominal in zip(axes, ("tof", "ar"), strict=True):
-        value, percent = printed_number("fig12", nominal), printed_number("fig12", f"{nominal}_plus")
+        value, percent = (printed_number("fig12", f"sphere_{name}") for name in (nominal, f"{nominal}_plus"))
         for sign in (-1.0, 1.0):
             axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
         axis.set(xlabel="ISW amplitude over the nominal one (1)")
@@ -181,17 +183,17 @@ def _compute_isw_values(curves: _Curves) -> dict[str, item.Found]:
     Also those by Zener's model (eq. 8), and their differences with a strong dashpot.
     """
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
-    nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
-    found = {}
+    found = {"ar_measured": item.make_value(at["disk"][1.0][1], "our model, not a measurement")}
     for kind, name in enumerate(("tof", "ar")):
-        for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
-            change = 100.0 * (at["disk"][ratio][kind] / nominal[kind] - 1.0)
-            found[f"{name}_{sign}"] = item.make_value(abs(change), f"{change:+.2f} %")
-        found[name] = item.make_value(nominal[kind], "sensor two disks")
-        found[f"{name}_zener"] = item.make_value(zener[kind], "eq. 8")
-        shift = f"{100 * (strong[kind] / nominal[kind] - 1):+.{1 - kind}f} %"
-        found[f"gamma_{name}"] = item.make_value(strong[kind] - nominal[kind], shift)
-    found["ar_measured"] = item.make_value(nominal[1], "our model beside the paper's measurement")
+        found[f"{name}_zener"] = item.make_value(at["zener_eq8"][1.0][kind], "eq. 8")
+        for sensor in ("sphere", "disk"):
+            nominal, strong = at[sensor][1.0][kind], at[f"{sensor}_gamma"][1.0][kind]
+            for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
+                change = 100.0 * (at[sensor][ratio][kind] / nominal - 1.0)
+                found[f"{sensor}_{name}_{sign}"] = item.make_value(abs(change), f"{change:+.2f} %")
+            found[f"{sensor}_{name}"] = item.make_value(nominal)
+            shift = f"{100 * (strong / nominal - 1):+.{1 - kind}f} %"
+            found[f"{sensor}_gamma_{name}"] = item.make_value(strong - nominal, shift)
     return found
 
 
@@ -269,7 +271,10 @@ def draw_depth_figure(material: item.Material) -> item.Product:
 
 
 def _compute_depth_values(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
-    """Return ToF (us) and AR of each curve at depths 0 and 0.8; those of absent curves with the reason."""
+    """Return ToF (us) and AR of each curve at depths 0 and 0.8; those of absent curves with the reason.
+
+    Also the smallest AR of each curve, and its depth in %.
+    """
     ends = [
         (f"{kind}_{ending}", k, depth)
         for k, kind in ((1, "tof"), (2, "ar"))
@@ -279,12 +284,19 @@ def _compute_depth_values(curves: _Curves, absent: Mapping[str, str]) -> dict[st
     for name, points in curves.items():
         at = {round(point[0], 6): point for point in points}
         found |= {f"{name}_{key}": item.make_value(at[depth][k]) for key, k, depth in ends}
+        depth, _, least = _find_minimum(points)
+        found |= {f"{name}_ar_least": item.make_value(least), f"{name}_at": item.make_value(100.0 * depth)}
     return found
+
+
+def _find_minimum(points: Sequence[models.Point]) -> models.Point:
+    """Return the point of a curve with the smallest amplitude ratio."""
+    return min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
 
 
 def _describe_minimum(name: str, points: Sequence[models.Point]) -> str:
     """Describe the minimum of a curve's amplitude ratio over the computed depths, and its last value."""
-    depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
+    depth, _, lowest = _find_minimum(points)
     return (
         f"{_DEPTH_CURVES[name].label.capitalize()}: AR is least, {lowest:.3f}, at a depth of "
         f"{100 * depth:.0f} % and {points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."

@@ -7,7 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -15,10 +15,12 @@ from typing import Any, TypedDict
 
 import click
 
-from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, Row, count_by_result
+from daq_service.cli.reproduce.comparison import AGREEMENTS, NOT_AVAILABLE, Row
+from daq_service.cli.reproduce.diagnosis import fill_numbers
 from daq_service.cli.reproduce.evidence import Evidence
 from daq_service.cli.reproduce.item import Item, Table
 from daq_service.cli.reproduce.output import RECORD, REPORT
+from daq_service.cli.reproduce.summary import assess_claims, count_values
 from daq_service.recording.provenance import PACKAGES
 from daq_service.shared_file import write_output
 from daq_service.web.templates import render_template
@@ -37,7 +39,9 @@ class Section:
     png
         The figure; empty where there is none.
     table
-        Shown in full where there is no figure.
+        Shown in full.
+    numbers
+        Ours by name, those of `rows` among them.
     trouble
         Why it could not be made; empty where it was.
     """
@@ -48,6 +52,7 @@ class Section:
     table: Table | None = None
     rows: Sequence[Row] = ()
     notes: Sequence[str] = ()
+    numbers: Mapping[str, float] = field(default_factory=dict)
     trouble: str = ""
 
 
@@ -57,6 +62,7 @@ class Facts(TypedDict):
     seed: int | None
     configuration_hash: str | None
     test: str | None
+    origin: str | None
     data_dir: str | None
     versions: dict[str, str]
     machine: str
@@ -84,6 +90,7 @@ def collect_run_facts() -> Facts:
         "seed": None,
         "configuration_hash": None,
         "test": None,
+        "origin": None,
         "data_dir": None,
         "versions": {
             **{name: version(name) for name in (*PACKAGES, "numba", "matplotlib")},
@@ -93,14 +100,15 @@ def collect_run_facts() -> Facts:
     }
 
 
-def add_test_facts(facts: Facts, test: Evidence) -> None:
-    """Add name, counts, seed, configuration and folder of the test to the facts, in place."""
+def add_test_facts(facts: Facts, test: Evidence, origin: str) -> None:
+    """Add name, counts, seed, configuration, folder and origin of the test to the facts, in place."""
     facts |= {
         "seed": test.seed,
         "configuration_hash": test.configuration_hash,
         "test": f"{test.name}: {test.counts['sets']} sets to hour {test.last_h:g}, {test.counts['shots']} "
         f"strikes, {test.counts['pulse_echo_records']} echoes, {test.counts['missed_sets']} sets missed "
         f"({'twin' if test.from_twin else 'real specimen'}, recorded by solimon {test.solimon_version})",
+        "origin": origin,
         "data_dir": str(test.folder),
     }
 
@@ -118,7 +126,12 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
     finished = {section.item.name for section in run.sections}
     missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
-    counts = count_by_result(run.rows)
+    numbers = {section.item.name: section.numbers for section in run.sections}
+    run.sections = [
+        replace(section, rows=[replace(row, cause=fill_numbers(row.cause, numbers)) for row in section.rows])
+        for section in run.sections
+    ]
+    counts, claims = count_values(run.rows), assess_claims(run.rows)
     result: dict[str, object] = {
         **run.facts,
         "elapsed_s": round(elapsed_s, 3),
@@ -131,6 +144,7 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
         },
         "missing": missing,
         "tally": counts,
+        "claims": [asdict(claim) for claim in claims],
         "comparison": [{**asdict(row), "deviation_shown": row.deviation_shown} for row in run.rows],
         "slips": run.slips,
     }
@@ -143,25 +157,20 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
         "data": run.facts["data_dir"] or "-",
         "versions": ", ".join(f"{name} {number}" for name, number in run.facts["versions"].items()),
         "machine": run.facts["machine"],
-        "values of the paper": _describe_counts(counts),
         "made": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}, in {elapsed_s:.0f} s",
     }
-    remarks = [
-        (
-            "Left the paper, right ours: every value of ours is computed in this run; the paper's are those "
-            "of its text and tables. A cause is our explanation of a deviation, not the paper's."
-        )
-    ]
-    if missing:
-        remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
     write_output(
         run.out / REPORT,
         render_template(
             "reproduction.html.j2",
             title=TITLE,
             run_facts=facts,
-            remarks=remarks,
+            origin=run.facts["origin"],
+            missing=missing,
+            counts=counts,
+            claims=claims,
             sections=run.sections,
+            agreements=AGREEMENTS,
             not_available=NOT_AVAILABLE,
         ),
     )
@@ -169,35 +178,16 @@ def write_outcome(run: Outcome, names: Sequence[str], *, interrupted: bool) -> d
     return result
 
 
-def _describe_counts(counts: Mapping[str, int]) -> str:
-    """Describe the counts of `count_by_result` in one sentence."""
-    return (
-        f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
-        f"{counts['words']} are words in the paper, {counts['not_available']} are not available here"
-    )
-
-
 def print_result(result: Mapping[str, Any]) -> None:
-    """Print the result of `write_outcome` on standard output: comparison table, slips, seed, versions."""
-    rows = result["comparison"]
-    if rows:
-        click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")
-    for row in rows:
-        unit = "" if row["unit"] == "1" else row["unit"]
+    """Print the summary of `write_outcome` on standard output: claims, counts, seed, versions."""
+    for claim in result["claims"]:
+        agreeing = f"{claim['n_agreeing']} of {claim['n_compared']} predictions agree"
         # A terminal of any code page shows it.
-        paper = row["paper_shown"].replace("±", "+-")
-        cause = row["cause"] if row["ours"] is not None else row["ours_words"]
-        click.echo(
-            f"{row['item']:<8}{row['text']:<66}{paper:>26}{row['ours_shown']:>15}  {unit:<5}"
-            f"{row['deviation_shown']:>15}  {cause}".rstrip()
-        )
-    for slip in result["slips"]:
-        click.echo(
-            f"slip, {slip['where']}: printed: {slip['printed']}. Right: {slip['right']}. {slip['finding']}."
-        )
+        click.echo(f"{claim['result']:<19} {agreeing:<28} {claim['claim'].replace('µ', 'u')}")
+    for name, texts in (("kinds", {}), ("predictions", AGREEMENTS)):
+        counts = result["tally"][name].items()
+        click.echo(f"{name}: {', '.join(f'{n} {texts.get(key, key)}' for key, n in counts)}")
     versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
-    if rows:
-        click.echo(f"values of the paper: {_describe_counts(result['tally'])}")
     click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
     click.echo(f"{versions}; {result['machine']}")
     if result["missing"]:

@@ -9,6 +9,9 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, cast
+
+Kind = Literal["input", "arithmetic", "given", "predicted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +28,11 @@ class PaperValue:
         Printed digits behind the point: ours is shown with one more.
     wording
         The paper's own qualification: "about", "+-", "no trend".
+    kind
+        ``input``: the models and the test take it; ``arithmetic``: the paper's own formula, evaluated;
+        ``given``: the twin was built to give it; ``predicted``: nothing of it was put in.
+    repeats
+        Name of the quantity where the paper prints it more than once; otherwise empty.
     where
         Section, figure, table or equation of the paper.
     """
@@ -37,12 +45,22 @@ class PaperValue:
     decimals: int
     where: str
     wording: str
+    kind: Kind
+    repeats: str
+
+    @property
+    def scatter(self) -> tuple[float, float] | None:
+        """Return the smallest and the largest number that the paper prints for it; None if it prints one."""
+        numbers = [one.value for one in PAPER_VALUES if one.repeats == self.repeats and one.value is not None]
+        return (min(numbers), max(numbers)) if self.repeats else None
 
 
-def _parse_paper_value(value: str, **texts: str) -> PaperValue:
+def _parse_paper_value(value: str, kind: str, **texts: str) -> PaperValue:
     """Parse a row of the file of the paper's values; the digits after the point give ``decimals``."""
     decimals = len(value.partition(".")[2])
-    return PaperValue(value=float(value) if value else None, decimals=decimals, **texts)
+    return PaperValue(
+        value=float(value) if value else None, decimals=decimals, kind=cast("Kind", kind), **texts
+    )
 
 
 with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as _file:

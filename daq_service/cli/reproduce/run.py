@@ -175,7 +175,7 @@ def _run_and_read_test(settings: Settings, folder: Path, stop: threading.Event, 
         tenth = 10 * done // max(planned, 1)
         if tenth > last_tenth:
             last_tenth = tenth
-            report(f"test: hour {due_h:g}, set {done} of {planned}")
+            report(f"test: hour {due_h:g}, {done} of {planned} sets")
 
     if not run_twin_test(settings, folder, stop=stop, progress=progress):
         raise _StoppedError
@@ -220,7 +220,7 @@ def _complete_item(
     if stop.is_set():
         raise _StoppedError
     if test is not None:
-        add_test_facts(run.facts, test)
+        add_test_facts(run.facts, test, _describe_origin(test))
     with mpl.rc_context(RULES):
         try:
             product = item.make(Material(evidence=test, results=results))
@@ -255,7 +255,8 @@ def _write_item(
         item=item,
         files=tuple(contents),
         png=pictures.get("png", b""),
-        table=product.tables.get("") if product.drawing is None else None,
+        table=product.tables.get("" if product.drawing is None else "detections"),
+        numbers={name: one.value for name, one in product.found.items() if one.value is not None},
         rows=compare_item(item.name, product.found, origin=origin),
         notes=product.notes,
     )

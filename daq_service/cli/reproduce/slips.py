@@ -26,7 +26,7 @@ _PLATE, _PATCH = PlateParameters(), CorrosionParameters()
 _FREE = replace(_SPHERE, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0, gravity_m_per_s2=0.0)
 _WALL, _THIN = PlateParameters(model="rigid_wall"), PlateParameters(model="infinite_kirchhoff")
 _WATER = LiquidParameters(depth_m=0.3)
-"""About half the plate's height (half immersed); beyond some centimetres it no longer matters."""
+"""About half the plate's height (half immersed); more than some centimeters change nothing."""
 _Numbers = Mapping[str, object]
 
 
@@ -130,7 +130,7 @@ def _find_nearest_candidate(material: Material) -> _Numbers:
 
     Raises NotAvailableError if a job failed.
     """
-    tof_us, ar = printed_number("fig12", "tof"), printed_number("fig12", "ar")
+    tof_us, ar = printed_number("fig12", "sphere_tof"), printed_number("fig12", "sphere_ar")
     candidates = {label: _find_shot(material, name) for name, (label, _) in _CANDIDATES.items()}
 
     def distance_to_paper(shot: models.Pulse) -> float:
@@ -138,7 +138,9 @@ def _find_nearest_candidate(material: Material) -> _Numbers:
         return math.hypot(shot.tof_us / tof_us - 1.0, shot.amplitude_ratio / ar - 1.0)
 
     label, nearest = min(candidates.items(), key=lambda item: distance_to_paper(item[1]))
-    return {"n": len(candidates), "tof_us": tof_us, "ar": ar, "label": label, "nearest": nearest}
+    numbers = {"n": len(candidates), "tof_us": tof_us, "ar": ar, "label": label, "nearest": nearest}
+    # A linear element of length L = 2 h in pure bending, fully integrated: 1 + kappa (1 - nu) / 2 (L / h)^2.
+    return {**numbers, "locked": 1.0 + 5.0 / 6.0 * (1.0 - _PLATE.poisson_ratio) / 2.0 * 2.0**2}
 
 
 def _check_monotonicity(material: Material) -> _Numbers:

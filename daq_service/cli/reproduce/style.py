@@ -86,7 +86,10 @@ def add_legend(figure: Figure, *, ncols: int) -> None:
     figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=ncols)
 
 
-METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
+METADATA: Mapping[str, dict[str, str | None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": "solimon"},
+}
 
 
 def render_figure(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:

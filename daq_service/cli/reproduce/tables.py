@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import fields
 
 from daq_service.cli.reproduce.item import Found, Item, Job, Material, Product, Table, make_value, no_value
-from daq_service.cli.reproduce.paper_values import list_paper_values
 from simulator.zener.table_2 import Table2Row, compute_table_2
 
 
@@ -38,14 +37,14 @@ def _compute_loss_at_d(material: Material) -> Found:
     """Return the wall loss at D in % from the last truth of the twin; without one, the reason."""
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
-        return no_value("nobody measured the wall at D")
+        return no_value("the wall at D was not measured")
     return make_value(100.0 * known[-1].truth["depth_fraction"], "the twin's truth")
 
 
 def build_zener_table(material: Material) -> Product:
     """Build table 2: Zener's model over the drop height, rounded as in the paper.
 
-    The note counts the printed numbers that agree. Raises NotAvailableError if the job failed.
+    Raises NotAvailableError if the job failed.
     """
     rows: tuple[Table2Row, ...] = material.result("rows")
     columns = {field.name: [float(getattr(row, field.name)) for row in rows] for field in fields(Table2Row)}
@@ -54,11 +53,9 @@ def build_zener_table(material: Material) -> Product:
         for name, numbers in columns.items()
         for case, value in enumerate(numbers, 1)
     }
-    same = sum(value.value == values[value.quantity].value for value in list_paper_values("table2"))
     return Product(
         tables={"": Table(columns={"case": list(range(1, len(rows) + 1)), **columns})},
         found=values,
-        notes=(f"{same} of {len(list_paper_values('table2'))} printed numbers agree digit for digit.",),
     )
 
 

@@ -1,4 +1,4 @@
-"""Texts of the reproduction, read from `texts.toml`: captions, causes of deviations, slips of the paper."""
+"""Texts of the reproduction, read from `texts.toml`: captions, claims, causes of deviations, slips."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Caption:
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
-    """Cause of the deviations ``of`` quantities, or of all whose names begin so."""
+class Remark:
+    """Text on the quantities ``of``, or on all whose names start so: a cause, or a claim of the paper."""
 
     of: Sequence[str]
     text: str
@@ -61,9 +61,16 @@ class Texts:
     """Contents of the file; captions by item."""
 
     captions: Mapping[str, Caption]
-    causes: Sequence[Cause]
+    claims: Sequence[Remark]
+    causes: Sequence[Remark]
     slips: Sequence[Slip]
     trends: Sequence[Trended]
+
+
+def find_remark(remarks: Sequence[Remark], quantity: str) -> str:
+    """Return the text on ``item.quantity`` with the longest name that it starts with; empty if none does."""
+    known = {name: remark.text for remark in remarks for name in remark.of if quantity.startswith(name)}
+    return known[max(known, key=len)] if known else ""
 
 
 TEXTS = TypeAdapter(Texts).validate_python(load_module_toml(__file__))

@@ -144,8 +144,8 @@ def _find_first_alarm_hour(test: Evidence, position: str) -> item.Found:
         return item.no_value(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
     rule = test.settings.alarms
     by_chart = rule.decides_by == "chart"
-    rule_text = "the chart" if by_chart else f"{rule.k} of {rule.n} sets beyond the limit"
-    return item.make_value(hour, f"first alarm ({rule_text})")
+    rule_text = "control chart" if by_chart else f"{rule.k} of {rule.n} sets above the limit"
+    return item.make_value(hour, f"first alarm ({rule_text}), {test.describe_true_loss(position)}")
 
 
 FIG7 = item.Item(name="fig7", make=draw_waveform_figure, needs_test=True)

@@ -215,6 +215,7 @@ class Kinds:
         rig["positions"] = {name: dict(self.wired[name]) for name in sorted(self.wired)}
         return {
             **values,
+            "name": self.file.stem,
             "positions": make_positions_table(dict.fromkeys(self.wired, SOLITARY_WAVE)),
             "rig": rig,
         }

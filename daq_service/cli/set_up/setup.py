@@ -39,6 +39,7 @@ NO_BOARDS = (
 def run_setup(
     *,
     file: Path,
+    name: str,
     transducers: Sequence[str],
     probes: Sequence[str],
     kinds: Sequence[str],
@@ -100,11 +101,14 @@ def run_setup(
             address = stack.enter_context(serve_page(dialogue, scope, port))
             opened = ", opened in your browser" if not no_browser and open_page(address) else ""
             dialogue.report(f"scope  {address}{opened}; answer there or here")
+        name = name or file.stem
+        if asks:
+            name = dialogue.ask("name", "Name of the test", str, default=name)
         stack.enter_context(_translate_driver_errors())
         set_up_transducers(dialogue, instruments, flags)
         probes_of = None if kinds else flags.probes
         others, off = ask_for_other_instruments(dialogue, probes_of, flags.supply, flags.climate, asks=asks)
-        result = write_valid_config(dialogue, instruments, file, others, off)
+        result = write_valid_config(dialogue, instruments, file, name, others, off)
     if as_json:
         click.echo(json.dumps(result))
 
@@ -187,7 +191,7 @@ def _explain_no_boards(survey: Survey) -> str:
 
 
 def write_valid_config(
-    dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
+    dialogue: Dialogue, instruments: Instruments, file: Path, name: str, others: Tables, off: set[KeyPath]
 ) -> dict[str, object]:
     """Validate the configuration, write it with its schema, and print the next steps.
 
@@ -195,6 +199,7 @@ def write_valid_config(
     and ``off`` as in `Instruments.contents`.
     """
     values, off, head = instruments.contents(others, off)
+    values["name"] = name
     settings = validate_new_file(values, off, file)
     write_config(file, values, head=head, off=off)
     dialogue.report(f"{file} is written with its schema ({settings.configuration_hash()[:12]})")

@@ -173,7 +173,7 @@ def _compute_present_state(settings: Settings, fresh: Freshness, last: LatestRow
         "state": find_status(last),
         "age_h": age_h,
         "stale": is_data_stale(settings.schedule, fresh, age_h),
-        "limit": find_limit(last, settings.thinnest_m),
+        "limit": find_limit(last, settings.find_wall_limit_m(last.position)),
         "chart": None if chart is None else dict(zip(("statistic", "limit"), chart, strict=True)),
     }
 

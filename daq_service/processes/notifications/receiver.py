@@ -113,11 +113,11 @@ class ReceiverQueue:
             reason = (
                 "these notifications are new to the test"
                 if progress is None
-                else f"the catalogue does not have event {progress.cursor} as it was told: it was made again"
+                else f"the catalogue does not have event {progress.cursor} as it was reported: it was rebuilt"
             )
             self._report_start(
-                f"begins at the present, behind event {self._last_read_id}: {reason}; "
-                f"{self._source.count_active_alarms()} alarms that stand already are not sent"
+                f"starts at the present, after event {self._last_read_id}: {reason}; "
+                f"{self._source.count_active_alarms()} alarms that are already active are not sent"
             )
         self._started = True
 

@@ -229,8 +229,8 @@ def _raise_if_other_extractor(stored: Catalogue, method: Method, position: str, 
         raise UsageError(
             f"the results at {position} are of the extractor {' and '.join(others)}, this version of solimon "
             f"has {EXTRACTORS[kind]}: their numbers are different quantities. Explain the alarm with solimon "
-            f"{stored.read_experiment().solimon_version}, which began the test, or judge the test by this "
-            "version with solimon replay --extract"
+            f"{stored.read_experiment().solimon_version}, which started the test, or reassess the test by "
+            "this version with solimon replay --extract"
         )
 
 

@@ -7,6 +7,7 @@ the way out (10,000 rows: 2.4 ms instead of 37 ms). The tests hold every answer 
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import date
 from types import GenericAlias
 from typing import Any, Generic, Literal, TypeVar, cast
 
@@ -58,7 +59,7 @@ def describe_files(*media_types: str) -> dict[int | str, dict[str, object]]:
 
 
 UNCHANGED: dict[int | str, dict[str, object]] = {
-    304: {"description": "The client's copy, named by If-None-Match, is the record."}
+    304: {"description": "The client's copy, named by If-None-Match, is this answer."}
 }
 
 
@@ -129,6 +130,8 @@ class ShotRow(Answer):
 @_copy_fields_of(rows.FeatureRow)
 class FeatureRow(Answer):
     """Features of a shot, or of a set (shot_index null): mean of its valid shots."""
+
+    standard_error: dict[str, float | None] | None = None
 
 
 @_copy_fields_of(rows.ThicknessRow)
@@ -419,6 +422,15 @@ class ScheduleInfo(Answer):
     shots_per_set: int
 
 
+class CalibrationInfo(Answer):
+    """External calibration of a position's sensor, by its certificate."""
+
+    certificate: str
+    calibrated_on: date | None
+    due_on: date | None
+    sensitivity_v_per_n: float | None
+
+
 class PositionInfo(Answer):
     """Configuration of a position."""
 
@@ -426,6 +438,8 @@ class PositionInfo(Answer):
     label: str
     method: Method
     serial_number: str
+    calibration: CalibrationInfo
+    minimum_wall_m: float | None
 
 
 class NamedLimitInfo(Answer):
@@ -499,6 +513,8 @@ class Info(Dated):
     schedule: ScheduleInfo
     limits: LimitInfo
     initial_thickness_m: float
+    probe_delay_s: float
+    probe_delay_is_assumed: bool
     supply: SupplyInfo | None
     positions: list[PositionInfo]
     paused: str | None
@@ -574,7 +590,9 @@ TREND_ASSESSMENTS = (
 MEASURED_FIELDS = tuple(
     dict.fromkeys(name for kind in rows.MEASURED_BY.values() for name in rows.MEASURED[kind])
 )
-TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
+TREND_STANDARD_ERRORS = {f"standard_error_{name}": name for name in rows.MEASURED[rows.FeatureRow]}
+"""Columns of a trend with the standard errors of a feature."""
+TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS, *TREND_STANDARD_ERRORS)
 
 
 def _build_trend_columns() -> type[Answer]:
@@ -583,8 +601,12 @@ def _build_trend_columns() -> type[Answer]:
     kinds: Fields = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
+    errors = {column: f"Standard error of `{name}`" for column, name in TREND_STANDARD_ERRORS.items()}
     fields: Fields = {
-        name: (GenericAlias(list, (kind | None,)), Field(default_factory=list))
+        name: (
+            GenericAlias(list, (kind | None,)),
+            Field(default_factory=list, description=errors.get(name)),
+        )
         for name, kind in kinds.items()
     }
     description = "The columns that were asked for, and hour, age and quality; one entry a set or bin."

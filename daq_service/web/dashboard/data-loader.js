@@ -175,6 +175,11 @@ export class DataLoader {
   setSpan(span, positions) {
     if (String([span, positions]) === String([this.span, this.drawn])) return;
     Object.assign(this, { span, drawn: positions });
+    for (const position of positions)
+      if (this.trends.get(position)?.method === "solitary_wave" && !this.hasErrors(position)) {
+        this.dirty.complete.add(position);
+        this.schedule();
+      }
     for (const position of this.details.keys())
       if (span === null || !positions.includes(position)) this.details.delete(position);
     if (span !== null && !this.detailTimer && this.coarse().length)
@@ -342,11 +347,19 @@ export class DataLoader {
     before.as_of = answer.as_of;
   }
 
+  /** Return whether its standard errors are known, which only drawn positions need. @param {string} position */
+  hasErrors(position) {
+    return "standard_error_tof_pp_s" in (this.trends.get(position)?.columns ?? {});
+  }
+
   /** @param {string} position whose baseline has been read */
   fieldsOf(position) {
-    const always = FIELDS[this.positionInfo(position).method];
-    const also = this.feature in this.baseline(position).columns && !always.includes(this.feature);
-    return also ? [...always, this.feature] : always;
+    const { method } = this.positionInfo(position);
+    const also = this.feature in this.baseline(position).units && !FIELDS[method].includes(this.feature);
+    const chosen = also ? [this.feature] : [];
+    const measured = method === "solitary_wave" ? [...FITTED[method], ...chosen] : [];
+    const errors = this.drawn.includes(position) || this.hasErrors(position) ? measured : [];
+    return [...FIELDS[method], ...chosen, ...errors.map((name) => `standard_error_${name}`)];
   }
 
   /** @param {string} position */

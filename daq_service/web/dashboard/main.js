@@ -372,7 +372,7 @@ function showInfo() {
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
   byId("finish").hidden = !info.clock.can_finish_now || !isAllowed("finish_now");
-  tiles.setLimits(info.limits);
+  tiles.setLimits(info);
   showClock(info.as_of);
 }
 
@@ -505,7 +505,9 @@ Object.defineProperty(window, "solimonDashboard", {
   writable: false,
 });
 
-startSession(await waitForLogin());
+const session = await waitForLogin();
+// Another page could lead a click on an embedded one.
+startSession(address.view.embed ? { ...session, may: [] } : session);
 new Audit();
 data.feature = address.view.feature;
 data.span = address.span;

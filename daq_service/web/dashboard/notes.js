@@ -136,6 +136,7 @@ export class SolimonNotes extends HTMLElement {
 
   /** @param {number} hour @param {string} position empty: the complete test */
   ask(hour, position) {
+    if (!isAllowed("annotate")) return;
     const names = this.host.positions();
     this.position.replaceChildren(
       el("option", { value: "", text: "Whole test" }),

@@ -5,6 +5,14 @@ import { embeddedAnswer } from "./api.js";
 import { byId } from "./dom.js";
 import { Tiles } from "./tiles.js";
 
+// An embedded page shows one panel of the charts' grid.
+const shown = new URLSearchParams(location.search);
+if (shown.get("embed") === "1") {
+  const panel = document.getElementById(shown.get("panel") ?? "");
+  document.body.dataset.embed = "1";
+  (panel?.parentElement?.id === "charts" ? panel : byId("chart")).classList.add("embedded");
+}
+
 export const tiles = new Tiles(byId("tiles"));
 setInterval(() => tiles.tick(), 1000);
 // The address holds the view; the other scripts read it when they load.
@@ -20,7 +28,7 @@ tiles.onSelect = (position) => {
 
 const transducers = embeddedAnswer("/api/v1/transducers");
 if (transducers) {
-  tiles.setLimits(embeddedAnswer("/api/v1/info").limits);
+  tiles.setLimits(embeddedAnswer("/api/v1/info"));
   tiles.online = true;
   tiles.update(transducers);
 }

@@ -69,7 +69,8 @@ export class Tiles {
     this.states = [];
     this.readAt = 0;
     this.online = false;
-    this.lossLimit = 0;
+    /** Answer of /info. @type {any} */
+    this.info = null;
     /** Statistic that raises alarms: of the control chart, or D². */
     this.chartDecides = true;
     /** @type {Map<string, Trend>} by position */
@@ -91,10 +92,10 @@ export class Tiles {
     this.render();
   }
 
-  /** Show the limits and rule of the test. @param {any} limits of /info */
-  setLimits({ thickness_loss_fraction, decides_by }) {
-    this.lossLimit = thickness_loss_fraction;
-    this.chartDecides = decides_by === "chart";
+  /** Show the limits and rule of the test. @param {any} info answer of /info */
+  setLimits(info) {
+    this.info = info;
+    this.chartDecides = info.limits.decides_by === "chart";
   }
 
   /**
@@ -109,10 +110,16 @@ export class Tiles {
       const y = probe ? columns.thickness_m : this.chartDecides ? columns.mewma_statistic : columns.distance_squared;
       const limits = loader.baselines.get(position)?.at(-1)?.row.limits;
       const limit = this.chartDecides ? limits?.mewma : limits?.f_predictive;
-      const least = loader.info.initial_thickness_m * (1 - this.lossLimit);
+      const least = this.minimumWall(position);
       this.trends.set(position, { x: columns.due_h, y, limit: (probe ? least : limit) ?? null, log: !probe, end_h });
     }
     this.render();
+  }
+
+  /** Return the thickness in m that raises the alarm of a probe. @param {string} position @returns {number | null} */
+  minimumWall(position) {
+    const known = this.info?.positions.find((/** @type {any} */ one) => one.position === position);
+    return known?.minimum_wall_m ?? null;
   }
 
   /** @param {any[]} active alarms, the most urgent first */
@@ -276,6 +283,7 @@ export class Tiles {
     const row = state.last_thickness;
     const initial =
       row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
+    const assumed = this.info?.probe_delay_is_assumed ? ", assumed" : "";
     const lost = initial ? `, ${fixed((100 * row.thickness_loss_m) / initial, 0)} %` : "";
     const [low, high] = [row?.interval_low_m ?? null, row?.interval_high_m ?? null];
     const interval =
@@ -284,8 +292,9 @@ export class Tiles {
         : `${fixed(1e3 * low, 2)} to ${quantity(high, 1e3, 2, "mm")} (95 %)`;
     return this.body(state, quantity(row?.thickness_m, 1e3, 2, "mm"), interval, [
       ["Wall loss", `${quantity(row?.thickness_loss_m, 1e3, 2, "mm")}${lost}`],
-      ["Limit", `${fixed(100 * this.lossLimit, 0)} %`],
+      ["Limit", quantity(this.minimumWall(state.position), 1e3, 2, "mm")],
       ["Travel time", quantity(row?.travel_time_s, 1e6, 3, "µs")],
+      ["Probe delay", `${quantity(this.info?.probe_delay_s, 1e6, 2, "µs")}${assumed}`],
       ["Quality", row?.quality ?? NONE],
     ]);
   }

@@ -21,6 +21,8 @@
  * @property {number | null} to_wf_us
  * @property {string[]} hides overlays that the waterfall does not draw
  * @property {string[]} tables charts shown as tables, by id
+ * @property {string} panel the one that an embedded page shows, by id
+ * @property {boolean} embed only that panel is shown, and nothing is sent
  * @property {"" | "auto" | "light" | "dark"} theme empty: as this browser remembers
  */
 
@@ -44,6 +46,8 @@ export const PLAIN = Object.freeze({
   to_wf_us: null,
   hides: [],
   tables: [],
+  panel: "",
+  embed: false,
   theme: "",
 });
 const CHOICES = /** @type {Record<string, string[]>} */ ({

@@ -98,7 +98,7 @@ export class SolimonWaveform extends HTMLElement {
     setText(
       this.subtitle,
       `${this.label} · hour ${hour(header.due_h)}, ${setName(setKey(header))}, shot ` +
-        `${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
+        `${header.shot_index}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
     );
     this.fillReadouts();
     this.box.setAttribute(

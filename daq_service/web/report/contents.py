@@ -33,6 +33,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ThicknessRow,
 )
+from daq_service.catalogue.standard_errors import read_error_columns
 from daq_service.commands.audit import AuditEntry, read_audit_log
 from daq_service.commands.deadline import mark_if_expired, remaining_now_s
 from daq_service.errors import UsageError
@@ -48,7 +49,7 @@ MOST_SETS = 20_000
 """Limit per position: each set is a point of every figure."""
 MOST_LINES = 500
 """Limit for each of alarms, annotations, commands and the audit; the newest are shown."""
-OF_WAVES = ("due_h", "tof_pp_s", "amplitude_ratio", "quality")
+OF_WAVES = ("set_index", "due_h", "tof_pp_s", "amplitude_ratio", "quality")
 OF_ASSESSMENTS = (
     "due_h",
     "distance_squared",
@@ -85,7 +86,7 @@ class PositionReport:
     Attributes
     ----------
     values
-        Features of the sets' means, or thickness.
+        Features of the sets' means with their standard errors, or thickness.
     assessments
         None for pulse echo.
     """
@@ -256,10 +257,12 @@ def _build_position_report(
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
     set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
     assessment_filters: Filters = {**set_filters, "scope": None}
+    values = catalogue.columns(kind, columns, **set_filters)
     states, assessments = [row.state for row in sets], None
     if not is_probe:
         from analysis.statistics.named_limits import MEWMA  # with SciPy, which is slow to import
 
+        values |= read_error_columns(catalogue, OF_WAVES[2:4], values["set_index"], **set_filters)
         assessments = catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **assessment_filters)
         assessments["mewma_limit"] = [(row or {}).get(MEWMA) for row in assessments["limits"]]
     return PositionReport(
@@ -271,8 +274,8 @@ def _build_position_report(
         state=find_status(last),
         age_h=age_h,
         stale=is_data_stale(settings.schedule, fresh, age_h),
-        limit=find_limit(last, settings.thinnest_m),
-        values=catalogue.columns(kind, columns, **set_filters),
+        limit=find_limit(last, settings.find_wall_limit_m(name)),
+        values=values,
         assessments=assessments,
         states={state: states.count(state) for state in dict.fromkeys(states)},
     )

@@ -143,7 +143,7 @@ def _draw_thickness(position: PositionReport, axis: Axes) -> None:
 def _draw_points(columns: Columns, name: str, factor: float, label: str, axis: Axes) -> None:
     """Draw each set as a point, or as a cross if its quality is not good; ``factor`` converts the unit.
 
-    ``label`` names the axis. The legend appears only with crosses.
+    Bars have the standard error, if known. ``label`` names the axis. The legend appears only with crosses.
     """
     for gid, good, style in (
         (name, True, DOTS),
@@ -152,6 +152,9 @@ def _draw_points(columns: Columns, name: str, factor: float, label: str, axis: A
         rows = [(quality == "good") is good for quality in columns["quality"]]
         if any(rows):
             _draw_line(axis, columns, name, style, rows=rows, factor=factor, gid=gid)
+    if errors := columns.get(f"standard_error_{name}"):
+        middle, half = (factor * np.array(one, dtype=float) for one in (columns[name], errors))
+        axis.errorbar(columns["due_h"], middle, half, fmt="none", ecolor=BLUE, alpha=0.4, elinewidth=0.8)
     axis.set_ylabel(label)
     if axis.get_legend_handles_labels()[1]:
         axis.legend(**ABOVE)

@@ -13,6 +13,7 @@ from daq_service.alarms.evidence import build_evidence_sentences
 from daq_service.alarms.states import PRIORITIES, describe_alarm, format_number
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
+from daq_service.settings.stored import remove_private_keys
 from daq_service.settings.tree import AlarmSettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from daq_service.web.templates import NOT_KNOWN, format_quantity, render_template
@@ -50,10 +51,13 @@ def render_report_page(
         active=sorted(active, key=lambda row: (-PRIORITIES.index(row.priority), row.raised_h)),
         figures=figures,
         summary_figures=summary_figures,
+        methods=render_methods(contents),
         enough_sets=ENOUGH_SETS,
         most_lines=MOST_LINES,
         most_alarms=MOST_ALARMS,
-        configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
+        configuration=json.dumps(
+            remove_private_keys(contents.experiment.configuration), indent=1, sort_keys=True
+        ),
         newest=lambda position: list(_list_newest(position, alarms)),
         baselines={row.position: row for row in contents.baselines.values() if row.state == "approved"},
         diagnosis=_find_newest_diagnosis,
@@ -63,6 +67,11 @@ def render_report_page(
         action=lambda alarm: describe_alarm(alarm).action,
         transition=build_transition,
     )
+
+
+def render_methods(contents: Contents) -> str:
+    """Render a paragraph of settings, versions and uncertainties for the methods section of a paper."""
+    return " ".join(render_template("methods.txt.j2", contents=contents).decode().split())
 
 
 def _find_newest(values: Sequence[object]) -> int | None:
@@ -112,13 +121,14 @@ def _build_series_rows(position: PositionReport) -> Iterator[Row]:
 def _build_series_row(
     quantity_name: str, columns: Columns, name: str, factor: float, digits: int, unit: str
 ) -> Row:
-    """Return count, first, last, minimum, maximum, mean and number of poor sets of a quantity as table cells.
+    """Return count, first, last, minimum, maximum, mean, number of poor sets, last standard error.
 
     ``factor`` converts to ``unit``. Missing values are left out; without values the cells are `NOT_KNOWN`.
     """
     values = [value for value in columns[name] if value is not None]
     if not values:
-        return (quantity_name, "0", *[NOT_KNOWN] * 5, "")
+        return (quantity_name, "0", *[NOT_KNOWN] * 5, "", "")
+    errors = [error for error in columns.get(f"standard_error_{name}", ()) if error is not None]
     shown = (values[0], values[-1], min(values), max(values), math.fsum(values) / len(values))
     n_poor = "" if "quality" not in columns else str(sum(quality != "good" for quality in columns["quality"]))
     return (
@@ -126,4 +136,5 @@ def _build_series_row(
         str(len(values)),
         *(format_quantity(value, factor, digits, unit) for value in shown),
         n_poor,
+        format_quantity(errors[-1], factor, digits + 1, unit) if errors else "",
     )

@@ -10,6 +10,7 @@ from daq_service.web.answers.json_answer import JsonAnswer, format_rfc3339
 from daq_service.web.answers.models import Info, SupplyInfo, describe_errors
 from daq_service.web.answers.version import read_installed_version
 from daq_service.web.context import ContextOf, Freshness
+from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_S
 
 router = APIRouter(tags=["info"])
@@ -71,10 +72,16 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "supply": settings.rig.driven
             and {name: getattr(settings.rig.driven, name) for name in SupplyInfo.model_fields},
             "initial_thickness_m": settings.ultrasound.initial_thickness_m,
+            "probe_delay_s": settings.ultrasound.delay_s,
+            "probe_delay_is_assumed": settings.ultrasound.delay_is_assumed,
             "positions": [
                 {
                     "position": name,
                     **{key: getattr(place, key) for key in ("label", "method", "serial_number")},
+                    "calibration": place.calibration.model_dump(),
+                    "minimum_wall_m": settings.find_wall_limit_m(name)
+                    if place.method == PULSE_ECHO
+                    else None,
                 }
                 for name, place in settings.positions.items()
             ],

@@ -151,7 +151,9 @@ def _collect_data_metrics(context: Context, fresh: Freshness) -> Iterator[Metric
     labels = ("kind", "priority", "state", "position", "suppressed")
     yield _build_labeled_gauge("alarms_active", numbers, *labels)
     latest = read_latest_rows(catalogue, fresh, context.settings.positions)
-    yield from _collect_positions(context.settings.schedule, context.settings.thinnest_m, fresh, latest)
+    yield from _collect_positions(
+        context.settings.schedule, context.settings.find_wall_limit_m, fresh, latest
+    )
 
 
 VALUES = (
@@ -168,9 +170,12 @@ VALUES = (
 
 
 def _collect_positions(
-    schedule: ScheduleSettings, thinnest_m: float, fresh: Freshness, summaries: Mapping[str, LatestRows]
+    schedule: ScheduleSettings,
+    find_wall_limit_m: Callable[[str], float],
+    fresh: Freshness,
+    summaries: Mapping[str, LatestRows],
 ) -> Iterator[Metric]:
-    """Yield the metrics of each position from its latest rows; ``thinnest_m`` is the alarm limit in m.
+    """Yield the metrics of each position from its latest rows; ``find_wall_limit_m`` gives a probe's limit.
 
     Values that are not available have no sample.
     """
@@ -196,7 +201,9 @@ def _collect_positions(
 
     def select_limit(row: str) -> Callable[[LatestRows], float | None]:
         """Return a function that computes the alarm limit of a position; None if the row is missing."""
-        return lambda last: None if getattr(last, row) is None else find_limit(last, thinnest_m)
+        return lambda last: (
+            None if getattr(last, row) is None else find_limit(last, find_wall_limit_m(last.position))
+        )
 
     yield build_states("position_state", find_status, PositionStatus)
     yield build_states("quality", _read_quality, Quality)

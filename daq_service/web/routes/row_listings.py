@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from daq_service.catalogue import rows
 from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.standard_errors import find_standard_errors
 from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import describe_errors
@@ -114,6 +115,14 @@ def add_quality(
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
 
 
+def add_standard_errors(
+    context: Context, fresh: Freshness, features: Sequence[rows.FeatureRow]
+) -> list[dict[str, object]]:
+    """Convert features for an answer, those of sets with their standard errors; StorageError as `rows`."""
+    errors = find_standard_errors(context.catalogue(), features)
+    return [fresh.row(row, standard_error=error) for row, error in zip(features, errors, strict=True)]
+
+
 BY_SET = SET_INDEX | HOURS | PURPOSE
 STATE: Parameters = {"state": (rows.SetState | None, None)}
 MEANS = Query(description="Means of sets, or single shots")
@@ -128,7 +137,8 @@ OF_ALARMS: Parameters = {
 WITHDRAWN = Query(description="true: those withdrawn; false: the others; absent: all")
 OF_ANNOTATIONS: Parameters = {"withdrawn": (Annotated[bool | None, WITHDRAWN], None)}
 add_listing_route("sets", rows.SetRow, models.SetPage, POSITION | STATE | BY_SET)
-add_listing_route("features", rows.FeatureRow, models.FeaturePage, POSITION | SCOPE | BY_SET)
+OF_FEATURES = POSITION | SCOPE | BY_SET
+add_listing_route("features", rows.FeatureRow, models.FeaturePage, OF_FEATURES, add_standard_errors)
 add_listing_route("thickness", rows.ThicknessRow, models.ThicknessPage, POSITION | SET_INDEX | HOURS)
 add_listing_route("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, add_quality)
 add_listing_route("environment", rows.EnvironmentRow, models.EnvironmentPage, HOURS)

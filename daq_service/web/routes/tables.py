@@ -12,8 +12,9 @@ from starlette.responses import Response, StreamingResponse
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import TableList, describe_errors, describe_files
+from daq_service.web.answers.models import UNCHANGED, TableList, describe_errors, describe_files
 from daq_service.web.answers.problem import Problem, invalid, not_found
+from daq_service.web.answers.unchanged import check_ended_test
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import (
     LARGEST_INDEX,
@@ -58,7 +59,7 @@ def list_tables() -> JsonAnswer:
     return JsonAnswer({"formats": list_available_formats(), "items": items})
 
 
-@router.get("/tables/{table}", tags=["tables"], response_class=Response, responses=EXPORTS)
+@router.get("/tables/{table}", tags=["tables"], response_class=Response, responses=EXPORTS | UNCHANGED)
 def get_table(
     request: Request,
     context: ContextOf,
@@ -72,8 +73,9 @@ def get_table(
 ) -> Response:
     """Export a table or a range of it, always with hour, quality and the columns that identify rows.
 
-    Formats that hold all rows (npz, mat, h5) are limited to 100,000 rows; two are created at a time (else
-    503). An unknown table is answered with 404, an invalid selection or too many rows with 422.
+    Once the test has ended, all tables but alarms have an ETag. Formats that hold all rows (npz, mat, h5) are
+    limited to 100,000 rows; two are created at a time (else 503). An unknown table is answered with 404, an
+    invalid selection or too many rows with 422.
     """
     if table not in TABLES:
         raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
@@ -88,6 +90,13 @@ def get_table(
             table=table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose
         )
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
+        if table != "alarms":  # a shelf expires without an event
+            unchanged, not_modified = check_ended_test(
+                *(request, context.data_folder, fresh), form=name, is_dated=name != "csv"
+            )
+            if not_modified is not None:
+                return not_modified
+            headers |= unchanged
         parts = encode_table(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
         if FORMATS[name].whole:
             return Response(
@@ -176,7 +185,7 @@ def run_unless_busy(make: Callable[[], bytes]) -> bytes:
     if not _making.acquire(blocking=False):
         raise Problem(
             "too-many-exports",
-            f"{AT_ONCE} files that hold all their rows are being made, and no more at once.",
+            f"{AT_ONCE} files that hold all their rows are being made, the maximum at once.",
         )
     try:
         return make()

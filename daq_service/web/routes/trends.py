@@ -3,29 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from numpy.typing import NDArray
 from pydantic import StringConstraints, WithJsonSchema
+from starlette.responses import Response
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rollups import QUALITIES, Kind, list_bin_value_names
 from daq_service.catalogue.rows import AssessmentRow
+from daq_service.catalogue.standard_errors import read_error_columns
 from daq_service.catalogue.trends import compute_trend_part, read_trend_bins
 from daq_service.web.answers.json_answer import JsonAnswer, format_hours_as_rfc3339
-from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, describe_errors
+from daq_service.web.answers.models import (
+    TREND_ASSESSMENTS,
+    TREND_FIELDS,
+    TREND_STANDARD_ERRORS,
+    UNCHANGED,
+    Fit,
+    Trend,
+    describe_errors,
+)
 from daq_service.web.answers.problem import invalid
+from daq_service.web.answers.unchanged import check_ended_test
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, find_last_hour
 from daq_service.web.tables.choice import Columns
+from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["trends"])
 
-ASSESSMENTS = TREND_ASSESSMENTS
+ASSESSMENTS, STANDARD_ERRORS = TREND_ASSESSMENTS, TREND_STANDARD_ERRORS
 POINTS, MOST_POINTS = 500, 1000
 """Default and maximum number of entries of an answer."""
 MOST_BYTES = 195_000
@@ -50,8 +62,12 @@ def find_unit(field: str) -> str:
     return "1"
 
 
-def parse_fields(method: str, fields: str | None, *, known: Sequence[str]) -> list[str]:
+def parse_fields(
+    method: str, fields: str | None, *, known: Sequence[str], extra: Collection[str] = ()
+) -> list[str]:
     """Parse a comma-separated list of columns, without repetitions; None selects all known ones.
+
+    Columns of ``extra`` may be chosen by name only.
 
     Raises
     ------
@@ -61,36 +77,43 @@ def parse_fields(method: str, fields: str | None, *, known: Sequence[str]) -> li
     if fields is None:
         return list(known)
     chosen = list(dict.fromkeys(part.strip() for part in fields.split(",") if part.strip()))
-    unknown = sorted(set(chosen) - set(known))
+    unknown = sorted(set(chosen) - {*known, *extra})
     if unknown or not chosen:
         raise invalid(
             "Unknown field",
             f"{', '.join(unknown) or '(no field)'} is not measured by the method {method}.",
-            f"Choose from {', '.join(known)}.",
+            f"Choose from {', '.join((*known, *extra))}.",
         )
     return chosen
 
 
-@router.get("/trends/{position}", response_model=Trend, responses=describe_errors(404, 503))
+@router.get("/trends/{position}", response_model=Trend, responses=UNCHANGED | describe_errors(404, 503))
 def get_trend(
+    request: Request,
     context: ContextOf,
     position: str,
     fields: Annotated[list[FieldName] | None, Query(max_length=50)] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
     points: Annotated[int, Query(ge=1, le=MOST_POINTS)] = POINTS,
-) -> JsonAnswer:
+) -> Response:
     """Return features or thickness with assessments by column, one entry per set or bin of sets.
 
     Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets. Its columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
-    range has smaller bins, at last single sets. An unknown position: 404; an unknown column: 422.
+    range has smaller bins, at last single sets. Standard errors are given by name only, for single sets.
+    Once the test has ended, the answer has an ETag. An unknown position: 404; an unknown column: 422.
     """
     method = context.settings.positions[context.validate_position(position)].method
     field_list = None if fields is None else ",".join(fields)
-    chosen = parse_fields(method, field_list, known=(*METHODS[method].value_names, *ASSESSMENTS))
+    known = (*METHODS[method].value_names, *ASSESSMENTS)
+    extra = STANDARD_ERRORS if method == SOLITARY_WAVE else ()
+    chosen = parse_fields(method, field_list, known=known, extra=extra)
     last_h = find_last_hour(from_h, to_h)
     fresh = context.read_freshness()
+    headers, not_modified = check_ended_test(request, context.data_folder, fresh, is_dated=True)
+    if not_modified is not None:
+        return not_modified
     kind = METHODS[method].row
     set_bytes, bin_bytes = estimate_entry_bytes(chosen)
     binned = read_trend_bins(
@@ -118,7 +141,8 @@ def get_trend(
             "bin_sets": bin_sets,
             "columns": columns,
             "bins": bins_json,
-        }
+        },
+        headers=headers,
     )
 
 
@@ -168,6 +192,9 @@ def read_trend_columns(
         for name in assessment_names:
             values = assessments[name]
             columns[name] = [None if row is None else values[row] for row in rows]
+    if names := [name for column, name in STANDARD_ERRORS.items() if column in fields]:
+        filters: Filters = {"position": position, "first_h": from_h, "last_h": last_h}
+        columns |= read_error_columns(context.catalogue(), names, columns["set_index"], **filters)
     return columns
 
 

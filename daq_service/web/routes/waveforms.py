@@ -235,7 +235,7 @@ async def live_waveforms(
                     sent_s = time.monotonic()
                     await websocket.send_json({"interval_s": beat_s})
         if not left.done():
-            await websocket.close(code=1001, reason="the service ends, or the token opens no more")
+            await websocket.close(code=1001, reason="the service stops, or the token is no longer valid")
     except WebSocketDisconnect:
         return
     finally:

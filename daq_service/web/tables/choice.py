@@ -12,6 +12,7 @@ from daq_service.alarms.evidence import build_alarm_columns
 from daq_service.catalogue import Catalogue, rows
 from daq_service.catalogue.published_columns import PublishedColumn, Purposes, add_nested, list_shown_columns
 from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.standard_errors import find_standard_errors
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import restore_settings
@@ -20,6 +21,8 @@ from daq_service.web.tables.baselines import list_published_baselines
 from daq_service.web.tables.quality import find_assessed_qualities
 
 PAGE_ROWS = 1000
+STANDARD_ERROR = "standard_error"
+"""Start of the names of the columns that need the rows of the shots, too."""
 ALWAYS = (
     *("id", "set_index", "unscheduled_index", "position", "shot_index", "due_h", "due_utc", "quality"),
     *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "priority", "state"),
@@ -42,8 +45,13 @@ class TableKind:
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """Return all columns of the table, in order."""
-        return list_shown_columns(self.row)
+        """Return all columns of the table, in order; a single shot has no standard error."""
+        of_shots = self.fixed.get("scope") == "shot"
+        return tuple(
+            column
+            for column in list_shown_columns(self.row)
+            if not (of_shots and column.name.startswith(STANDARD_ERROR))
+        )
 
 
 TABLES: Mapping[str, TableKind] = {
@@ -84,8 +92,7 @@ class Choice:
         if self.purpose != "planned" and not TABLES[self.table].unscheduled_set:
             other_tables = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
             raise UsageError(
-                f"the table {self.table} has no sets beside the plan, {other_tables} have; leave the purpose "
-                "out"
+                f"the table {self.table} has no unscheduled sets, {other_tables} have; leave the purpose out"
             )
         if self.from_h is not None and self.to_h is not None and self.to_h < self.from_h:
             raise UsageError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
@@ -160,6 +167,9 @@ def read_pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterat
                     rows_json, find_assessed_qualities(catalogue, methods, selected), strict=True
                 ):
                     row["quality"] = quality
+            if kind.row is rows.FeatureRow and any(name.startswith(STANDARD_ERROR) for name in names):
+                for row, errors in zip(rows_json, find_standard_errors(catalogue, selected), strict=True):
+                    row[STANDARD_ERROR] = errors
             if kind.row is rows.AlarmRow:
                 baselines = catalogue.read_baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):

@@ -53,8 +53,8 @@ def _limit_rows(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[
         n_rows += len(next(iter(page.values())))
         if n_rows > most_rows:
             raise UsageError(
-                f"these are more than {most_rows} rows, which the service does not hold at once for {form}; "
-                "take csv, parquet or arrow, which have no limit, a shorter range, or solimon export"
+                f"these are more than {most_rows} rows, which the service does not hold at once for {form}. "
+                "Take csv, parquet or arrow, which have no limit, a shorter range, or solimon export"
             )
         yield page
 

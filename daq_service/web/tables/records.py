@@ -120,13 +120,13 @@ def read_record_slice(
     read_first = next(waveforms, None)
     if read_first is None:
         raise NoRecordError(
-            f"no record of position {choice.position} in these sets can be read; solimon verify tells why"
+            f"no record of position {choice.position} in these sets can be read; solimon verify shows why"
         )
     _, first = read_first
     if (n_bytes := n_records * first.counts.size * BYTES_A_SAMPLE) > most_bytes:
         raise UsageError(
             f"these are up to {n_records} records of {first.counts.size} samples, {n_bytes / 1e6:.0f} MB in "
-            f"volts, of at most {most_bytes / 1e6:.0f} MB at once; choose a shorter range, or take the whole "
+            f"volts, of at most {most_bytes / 1e6:.0f} MB at once. Choose a shorter range, or take the whole "
             "test with solimon export --hdf5"
         )
     filters |= {"first_set": min(sets), "last_set": max(sets), "first_h": None, "last_h": None}

@@ -20,7 +20,7 @@ NOT_KNOWN = "not available"
 
 
 def render_template(template: str, **context: object) -> bytes:
-    """Render a template to the HTML of a page in UTF-8.
+    """Render a template to the HTML of a page, or to a text, in UTF-8.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def _create_environment() -> Environment:
     """Create the Jinja environment of the templates with its filters; it escapes HTML. Cached."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
+        autoescape=lambda name: not (name or "").endswith(".txt.j2"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -244,7 +244,7 @@ class SerialLink:
 
         Hang up if the client has closed the socket.
         """
-        assert self._terminal is not None, "only heard while plugged in"
+        assert self._terminal is not None, "only readable while plugged in"
         try:
             data = os.read(self._terminal[0], 4096)
         except ConnectionError:

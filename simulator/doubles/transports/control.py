@@ -251,7 +251,7 @@ def _read_ready_line(process: subprocess.Popen[bytes], timeout_s: float) -> dict
     if not line:
         raise DoublesProcessError(
             f"the double ended with code {process.wait()} or was not ready within {timeout_s} s; "
-            "its standard error says why"
+            "see its standard error"
         )
     ready: dict[str, str] = json.loads(line)
     return ready

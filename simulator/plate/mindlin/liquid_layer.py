@@ -47,8 +47,8 @@ def choose_sine_terms(plate: PlateParameters) -> tuple[int, int]:
     if longest_m / shortest_wave_m > MOST_TERMS:
         raise SpecimenError(
             f"a liquid on a plate {longest_m} m long and {plate.thickness_m} m thick needs "
-            f"{longest_m / shortest_wave_m:.0f} sines along an edge, at most {MOST_TERMS} are allowed; "
-            f"make the plate at most {MOST_TERMS * shortest_wave_m:.4g} m long"
+            f"{longest_m / shortest_wave_m:.0f} sines along an edge, at most {MOST_TERMS} are allowed. "
+            f"Make the plate at most {MOST_TERMS * shortest_wave_m:.4g} m long"
         )
     along_x, along_y = (
         max(FEWEST_TERMS, round(edge_m / shortest_wave_m)) for edge_m in (plate.width_m, plate.height_m)

@@ -46,7 +46,7 @@ def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> Non
             if abs(contact_m + offset_m) + half_m > 0.5 * edge_m * (1.0 + TOUCHING):
                 raise SpecimenError(
                     f"a patch reaches {abs(contact_m + offset_m) + half_m:.6g} m from the plate's centre "
-                    f"along {axis}, beyond its edge at {0.5 * edge_m} m; make the patch smaller or "
+                    f"along {axis}, past its edge at {0.5 * edge_m} m. Make the patch smaller or "
                     f"change its offset_{axis}_m ({offset_m} m from the contact at {contact_m} m)"
                 )
     for one, other in itertools.combinations(corrosion.patches, 2):

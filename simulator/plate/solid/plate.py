@@ -188,9 +188,7 @@ def check_solid_parameters(plate: PlateParameters, corrosion: CorrosionParameter
         raise SpecimenError(f"plate.support is 'free'; the solid plate is held at its edges: {remedy}")
     for name, value in (("plate.contact_x_m", plate.contact_x_m), ("plate.contact_y_m", plate.contact_y_m)):
         if value != 0.0:
-            raise SpecimenError(
-                f"{name} is {value}; on the solid plate the chain stands at the centre: {remedy}"
-            )
+            raise SpecimenError(f"{name} is {value}; on the solid plate the chain is at the centre: {remedy}")
     if corrosion.further:
         raise SpecimenError(
             f"corrosion.further has {len(corrosion.further)} patches; the solid plate has one: {remedy}"

@@ -101,7 +101,7 @@ def compute_time_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """
     real, times = evidence.experiment.clock == "wall", list_set_times(evidence)
     if real:
-        yield from _compute_quantiles("start_delay", [late for _, late, _ in times], "no set has begun")
+        yield from _compute_quantiles("start_delay", [late for _, late, _ in times], "no set has started")
     else:
         yield from _compute_quantiles("start_delay", [], NO_TIME, applies=False)
     yield from _compute_quantiles("set_duration", [took for _, _, took in times], "no set has ended")
@@ -125,7 +125,7 @@ def compute_growth_quantities(evidence: Evidence, name: str) -> Iterator[Quantit
     longest = max(runs.values(), key=len, default=[])
     longest = longest[max(WARM_UP_SETS, round(WARM_UP * len(longest))) :]
     grown = estimate_growth([index for index, _ in longest], [value for _, value in longest])
-    few = f"undecided: {len(longest)} readings; {FEWEST_READINGS} are the fewest that tell"
+    few = f"undecided: {len(longest)} readings; {FEWEST_READINGS} are needed"
     yield make_quantity(
         f"{name}_growth",
         None if grown is None else grown.slope,

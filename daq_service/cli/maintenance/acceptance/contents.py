@@ -98,7 +98,7 @@ def _describe_identity(evidence: Evidence) -> dict[str, str]:
             {"rig": configuration.rig.kind, **provenance.get("rig_identity", {})}
         ),
         "begun by": f"solimon {experiment.solimon_version}",
-        "versions": "; then ".join(item for item in versions if item) or "unknown: no recorder told them",
+        "versions": "; then ".join(item for item in versions if item) or "unknown: no recorder reported them",
         "machine": ", ".join(
             filter(
                 None,

@@ -85,7 +85,7 @@ def _assess_criterion(criterion: Criterion, quantity: Quantity) -> tuple[State, 
     ]
     if all(meets):
         return "pass", ""
-    return ("undecided", "the limit lies within the interval") if any(meets) else ("fail", "")
+    return ("undecided", "the interval contains the limit") if any(meets) else ("fail", "")
 
 
 def determine_outcome(comparisons: Sequence[Comparison]) -> Outcome:

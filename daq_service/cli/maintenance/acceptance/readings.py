@@ -11,8 +11,8 @@ from daq_service.recording.computer_load import MACHINE_READ
 from hardware_drivers.nanoseconds import NS_PER_S
 
 NOT_KEPT = "not kept by the solimon that recorded this test; recorders keep it since 0.1.0"
-NO_TIME = "simulated time waits for nobody"
-NOT_AVAILABLE = "unknown: this system does not tell it"
+NO_TIME = "not measured in simulated time"
+NOT_AVAILABLE = "unknown: this system does not report it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

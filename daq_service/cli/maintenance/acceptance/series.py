@@ -31,7 +31,7 @@ def yield_series(evidence: Evidence) -> Iterator[Series]:
     if not real:
         yield Series("start_delay_s", (), (), NO_TIME)
     else:
-        yield Series("start_delay_s", hours, late, "no set has begun")
+        yield Series("start_delay_s", hours, late, "no set has started")
     yield Series("set_duration_s", hours, took, "no set has ended")
     machine_readings = list_readings(evidence)
     hours = [reading.hour for reading in machine_readings]

@@ -12,7 +12,7 @@ from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Ta
 from hardware_drivers.measurement import DueSet
 from hardware_drivers.methods import PULSE_ECHO
 
-UNTOLD = "no recorder told of it"
+UNTOLD = "no recorder reported it"
 NO_SETS = "no set is due yet"
 
 

@@ -181,7 +181,7 @@ def _draw_contributions(parts: Mapping[str, float | None]) -> Picture | None:
         axis.set_yticks(np.arange(len(names)), [FEATURES.get(name, name.replace("_", " ")) for name in names])
         axis.set_xlabel("share (%)")
         svg = render_svg(figure, "contributions")
-    description = "What each feature contributes to what was compared with the limit."
+    description = "Contribution of each feature to the value that was compared with the limit."
     return Picture(description=description, svg=svg)
 
 

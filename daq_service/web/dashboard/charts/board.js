@@ -216,6 +216,13 @@ export class Board {
       const inUnit = (/** @type {(number | null)[]} */ values) =>
         onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
+      const errors = columns[k][`standard_error_${field}`];
+      const shifted = (/** @type {number} */ times) =>
+        inUnit(
+          columns[k][field].map((/** @type {number | null} */ value, /** @type {number} */ row) =>
+            value === null || errors[row] === null ? null : value + times * errors[row],
+          ),
+        );
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
         label: `${short}${of}`,
@@ -240,7 +247,9 @@ export class Board {
         step: trends[k].bin_sets,
         ...(trends[k].bins?.minimum[field]
           ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }
-          : {}),
+          : errors
+            ? { low: shifted(-1), high: shifted(1) }
+            : {}),
         quality: onAxis(columns[k].quality, rows[k]),
       });
     });
@@ -307,8 +316,8 @@ export class Board {
         dash: [7, 4],
         y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
       });
-    const [{ step }] = lines;
-    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : "";
+    const [{ step, low }] = lines;
+    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : low ? "bars: ± standard error" : "";
     const remark = relative
       ? "relative to each position's own baseline" +
         (this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : "")

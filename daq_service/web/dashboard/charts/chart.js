@@ -1,7 +1,7 @@
 // Show a trend over the hours of the test: a plot, a table of the same numbers for those who do not see
 // it, keys for those without a pointer; each point opens its set.
 
-import { el, setText } from "../dom.js";
+import { button, color, el, setText } from "../dom.js";
 import { chartOffer, exportMenu } from "../export.js";
 import { NONE, fixed } from "../format.js";
 import { onZoomKey, within } from "./gestures.js";
@@ -116,6 +116,7 @@ export class SolimonChart extends HTMLElement {
     setText(this.heading, options.title);
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
     this.actions.append(
+      button("PNG", () => this.savePicture(), { "aria-label": `Save as PNG: ${options.title}` }),
       exportMenu(options.title, () => this.series.exported && chartOffer(this.series.exported, host.span())),
     );
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
@@ -135,6 +136,29 @@ export class SolimonChart extends HTMLElement {
   setTitle(title) {
     this.options = { ...this.options, title };
     setText(this.heading, title);
+  }
+
+  /** Download what is drawn as a PNG, with title, subtitle and the names of the lines above it. */
+  savePicture() {
+    if (!this.plot) return;
+    const { canvas: drawn } = this.plot.ctx;
+    const line_px = 18 * devicePixelRatio;
+    const canvas = /** @type {HTMLCanvasElement} */ (el("canvas"));
+    Object.assign(canvas, { width: drawn.width, height: drawn.height + 3.5 * line_px });
+    const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+    pen.fillStyle = color("--surface");
+    pen.fillRect(0, 0, canvas.width, canvas.height);
+    pen.drawImage(drawn, 0, 3.5 * line_px);
+    pen.font = `${12 * devicePixelRatio}px sans-serif`;
+    const write = (/** @type {string} */ text, /** @type {string} */ name, /** @type {number} */ row, left_px = 8) => {
+      pen.fillStyle = color(name);
+      pen.fillText(text, left_px, row * line_px);
+      return left_px + pen.measureText(`${text}   `).width;
+    };
+    write(this.options.title, "--ink", 1);
+    write(this.series.subtitle, "--quiet", 2);
+    this.series.lines.reduce((left_px, line) => write(line.label, line.color, 3, left_px), 8);
+    el("a", { download: `${this.id}.png`, href: canvas.toDataURL() }).click();
   }
 
   /** @param {boolean} shown */
@@ -370,6 +394,7 @@ export class SolimonChart extends HTMLElement {
       x: [...this.series.x],
       y: Object.fromEntries(this.series.lines.map((line) => [line.key, [...line.y]])),
       span: this.plot ? [this.plot.scales.x.min, this.plot.scales.x.max] : null,
+      low: [...(this.series.lines[0]?.low ?? [])],
       opens: [...(this.series.lines[0]?.sets ?? [])],
       ranges: this.series.ranges.map((range) => ({ ...range })),
       cursor: this.cursor,

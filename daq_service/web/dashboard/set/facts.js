@@ -70,7 +70,7 @@ export function features({ feature, assessment }, units) {
       );
     });
   const caption =
-    `${feature.n_valid === undefined ? "Of the waveform" : `Mean of ${feature.n_valid} valid shots`}, ` +
+    `${feature.n_valid === undefined ? "One waveform" : `Mean of ${feature.n_valid} valid shots`}, ` +
     `quality ${feature.quality}; the last column is each feature's contribution to D²`;
   return section("Features", table(caption, ["Feature", "Value", "Contribution to D²"], rows));
 }
@@ -166,7 +166,7 @@ export function shots({ shots: rows, shotFeatures }, units, chosen, choose) {
       disabled: !accepted,
       "aria-pressed": String(pressed),
       "data-shot": String(shot.shot_index),
-      text: `${shot.shot_index + 1}${shot.attempt ? `, attempt ${shot.attempt + 1}` : ""}`,
+      text: `${shot.shot_index}${shot.attempt ? `, repetition ${shot.attempt}` : ""}`,
     });
     button.addEventListener("click", () => choose(pressed ? null : shot.shot_index));
     const row = el(

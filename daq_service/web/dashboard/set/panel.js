@@ -300,7 +300,7 @@ export class SolimonSet extends HTMLElement {
     const { shot } = this.host.view();
     /** @type {import("./plot.js").Trace[]} */
     const traces = same.map((one) => ({
-      label: `shot ${one.header.shot_index + 1}${valid.has(one.header.sequence) ? "" : ", not valid"}`,
+      label: `shot ${one.header.shot_index}${valid.has(one.header.sequence) ? "" : ", not valid"}`,
       volts: one.volts,
       color: valid.has(one.header.sequence) ? "--data" : "--alarm",
       width: 1,
@@ -320,7 +320,7 @@ export class SolimonSet extends HTMLElement {
     const chosen = shot === null ? undefined : same.find((one) => one.header.shot_index === shot);
     if (chosen)
       traces.push({
-        label: `shot ${chosen.header.shot_index + 1}, chosen`,
+        label: `shot ${chosen.header.shot_index}, chosen`,
         volts: chosen.volts,
         color: "--limit",
         width: 2,

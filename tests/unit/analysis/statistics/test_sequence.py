@@ -248,7 +248,7 @@ def test_the_chart_is_invariant_to_linear_mixtures_of_the_features():
 @pytest.mark.parametrize(
     ("name", "n", "why"),
     [
-        ("independent", 48, "48 sets cannot show slow memory"),
+        ("independent", 48, "48 sets, 150 needed"),
         ("independent", 200, ""),
         ("AR .6", 200, ""),
         ("slow drift", 200, "the baseline"),

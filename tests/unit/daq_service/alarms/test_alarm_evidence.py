@@ -71,7 +71,7 @@ CHART: dict[str, Any] = {
     "rule": {"false_alarms_per_sensor_year": 0.2},
     "contributions": {"amplitude_ratio": 59.0, "tof_pp_s": 59.0},
     "rate_verified": False,
-    "rate_not_verified_reason": "48 sets cannot show slow memory",
+    "rate_not_verified_reason": "48 sets, 150 needed",
 }
 
 
@@ -82,7 +82,7 @@ def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate():
             "change lasts."
         ),
         "Largest contributions: amplitude ratio 50 %, time of flight between the peaks 50 %.",
-        "Design false-alarm rate: 0.2 per transducer-year, not verified: 48 sets cannot show slow memory.",
+        "Design false-alarm rate: 0.2 per transducer-year, not verified: 48 sets, 150 needed.",
         "Distance squared of set 60 alone: 30.0 (equation 16).",
     ]
     verified = {**CHART, "rate_not_verified_reason": None, "rate_verified": True}

@@ -149,7 +149,13 @@ def test_a_stored_message_is_shown_and_an_unknown_kind_has_its_name():
 
 @pytest.mark.parametrize(
     ("probability", "text"),
-    [(0.978, "model: 97 %"), (0.99, "model: 99 %"), (0.9901, "model: > 99 %"), (1.0, "model: > 99 %")],
+    [
+        (0.978, "model: 97 %"),
+        (0.99, "model: 99 %"),
+        (0.9901, "model: > 99 %"),
+        (1.0, "model: > 99 %"),
+        (0.009, "model: < 1 %"),
+    ],
 )
 def test_a_probability_is_rounded_down(probability, text):
     assert format_model_probability(probability) == text

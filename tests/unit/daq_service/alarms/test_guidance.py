@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
-from daq_service.alarms.guidance import GUIDANCE, format_guidance_markdown, name_contact
+from daq_service.alarms.guidance import GUIDANCE, name_contact
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.corrosion_drive.drive import CONDITIONS
@@ -15,12 +15,7 @@ from daq_service.settings.alarm_delays import CONTACTS
 from daq_service.settings.tree import Settings
 
 ROOT = Path(__file__).parents[4]
-HOW_TO = ROOT / "docs" / "how-to" / "respond-to-an-alarm.md"
 RAISED_IN = ("alarms", "assessment", "commands")
-
-
-def test_the_how_to_shows_the_table():
-    assert format_guidance_markdown() in HOW_TO.read_text(encoding="utf-8"), format_guidance_markdown()
 
 
 def test_every_raised_kind_has_guidance():

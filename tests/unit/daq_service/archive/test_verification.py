@@ -77,7 +77,7 @@ def test_an_inconsistent_file_is_reported_with_the_location(path):
         file["entry/B_waveforms/time"][3] = 1.0
         file["entry/B_waveforms"].attrs["signal"] = np.bytes_("waveform")
     found = check_set_file(path)
-    assert "entry/B_waveforms/time is not what the rest of the file says" in map(str, found.damages)
+    assert "entry/B_waveforms/time does not match the rest of the file" in map(str, found.damages)
 
 
 def test_a_different_compression_library_is_no_corruption(path, image):
@@ -202,5 +202,5 @@ def test_records_of_format_1_0_are_verified_by_that_format(path, monkeypatch):
     with h5py.File(path, "r+") as file:
         file["entry/preview/time"][2] = 9.0
     assert [str(damage) for damage in check_set_file(path).damages] == [
-        "entry/preview/time is not what the rest of the file says"
+        "entry/preview/time does not match the rest of the file"
     ]

@@ -96,3 +96,18 @@ def test_a_known_element_separation_is_corrected():
         assert row.thickness_m + row.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
     assert read_m[2.7e-3] == pytest.approx(3.8e-3, abs=1e-6)
     assert read_m[0.0] == pytest.approx(3.945e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("minimum_wall_m", "limit_m", "exceeds"),
+    [(None, 5.715e-3, False), (5.5e-3, 5.715e-3, False), (6e-3, 6e-3, True)],
+)
+def test_the_larger_of_both_limits_raises_the_alarm(minimum_wall_m, limit_m, exceeds):
+    made = PulseEchoAssessor(
+        "A", small_settings(positions={"A": {"method": "pulse_echo", "minimum_wall_m": minimum_wall_m}})
+    )
+    assess(made, simulate_echo(6.35e-3, STRAIGHT))
+    found = assess(made, simulate_echo(5.9e-3, STRAIGHT), sequence=2)
+    assert made.exceeds_limit(found.thickness[0]) is exceeds
+    assert found.conditions[0].evidence["limit_m"] == pytest.approx(limit_m)
+    assert (found.conditions[0].times_limit > 1.0) is exceeds

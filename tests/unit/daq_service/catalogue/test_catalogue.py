@@ -95,7 +95,7 @@ def test_before_the_recorder_there_is_no_data_yet(tmp_path):
 
 
 def test_a_catalogue_without_an_experiment_has_no_data_yet(tmp_path):
-    with open_catalogue(tmp_path, writer=True), pytest.raises(NoDataYetError, match="has not begun"):
+    with open_catalogue(tmp_path, writer=True), pytest.raises(NoDataYetError, match="has not started"):
         open_catalogue(tmp_path)
 
 
@@ -571,7 +571,7 @@ def test_a_full_disk_rejects_the_set_and_keeps_the_stored_rows(writer, reader):
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
         connection_.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
     big = [event_row(payload={"text": "x" * 10_000})] * 20
-    with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
+    with pytest.raises(CatalogueWriteError, match="free disk space or repair the disk"):
         writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
     assert writer.list_committed_sets() == {SetKey(0)}
     with writer.open_snapshot() as connection_:

@@ -178,7 +178,7 @@ def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
     assert (found["sets_taken"], found["sets_missed"]) == (3, len(real.due) - 1 - 3)
     [(first, _, from_h, _, _, cause)] = rows(report, "gaps")
     assert (first, from_h) == (3, real.due[2].due_h)
-    assert cause == "no recorder told of it"
+    assert cause == "no recorder reported it"
     assert found["unplanned_ends"] == 1
     assert states(report)["unplanned_ends"] == states(report)["sets_taken_fraction"] == "fail"
     assert report.outcome == "fail"
@@ -304,7 +304,7 @@ def test_the_interval_of_a_slope_holds_it_in_noise_and_the_first_sets_count_for_
 def test_few_readings_give_no_result(evidence):
     few = grown(evidence, [10**8] * 20)
     assert few.value is None
-    assert f"{FEWEST_READINGS} are the fewest" in few.missing
+    assert f"{FEWEST_READINGS} are needed" in few.missing
     assert estimate_growth(range(FEWEST_READINGS - 1), [1.0] * (FEWEST_READINGS - 1)) is None
     assert "not kept" in grown(evidence, []).missing
     assert "does not tell" in grown(evidence, [None] * 40).missing

@@ -259,7 +259,9 @@ def test_records_of_a_range_are_written_in_the_formats_of_their_names(running, t
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "give --hdf5 FILE, or --table NAME with --out FILE"),
+        ((), "give --hdf5 FILE, --ro-crate FOLDER, --table NAME with --out FILE"),
+        (("--ro-crate", "a", "--out", "a.csv"), "--out does not belong to --ro-crate"),
+        (("--hdf5", "a.h5", "--license", "CC0-1.0"), "--license does not belong to --hdf5"),
         (("--table", "sets"), "needs --out"),
         (("--table", "sets", "--out", "a.xlsx"), "choose from csv, parquet"),
         (("--table", "shots", "--out", "a.csv"), "choose from sets, features"),

@@ -13,6 +13,7 @@ from daq_service.settings.file import find_config_file, load_settings
 from daq_service.settings.tree import Settings
 
 LAB = [
+    *("--set", "name=Tank 3"),
     *("--set", "rig.daqmx.transducers.*.board_serial=01A2B3C4"),
     *("--set", "rig.niscope.probes.A.resource=PXI1Slot3"),
     *("--set", "rig.niscope.probes.A.serial_number=1E2F3A4B"),
@@ -59,7 +60,7 @@ def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path):
     assert (tmp_path / "lab.toml").read_bytes() == shipped.read_bytes(), (
         "renew it: solimon init rig NEW, then NEW in the place of config/laboratory.toml"
     )
-    assert len(answer["placeholders"]) == 7
+    assert len(answer["placeholders"]) == 8
     assert "rig.supply.line.port" in answer["placeholders"]
 
 
@@ -85,7 +86,7 @@ def test_flags_fill_a_rig_in(tmp_path):
 def test_tables_are_switched_on_and_off(tmp_path):
     file = tmp_path / "lab.toml"
     without = ["--without", "rig.niscope", "--without", "positions.A", "--without", "rig.supply"]
-    answer = write_configuration("rig", file, *without, "--with", "rig.climate", *LAB[:2])
+    answer = write_configuration("rig", file, *without, "--with", "rig.climate", *LAB[:4])
     assert answer["placeholders"] == ["rig.climate.identity", "rig.climate.line.port"]
     rig = tomllib.loads(file.read_text(encoding="utf-8"))["rig"]
     assert [name for name, value in rig.items() if isinstance(value, dict)] == ["daqmx", "climate"]

@@ -89,7 +89,7 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path, command_line):
 @pytest.mark.parametrize(
     ("command_line", "asked"),
     [
-        ("pause", "Why is the test paused"),
+        ("pause", "Pausing does not isolate energy. Why is the test paused"),
         ("pause --reason door", ""),
         ("resume", ""),
         ("renew-baseline --position B", "Why is the baseline retired"),

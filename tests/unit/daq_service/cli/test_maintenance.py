@@ -471,9 +471,9 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
     foreign.mkdir()
     (foreign / "thesis.txt").write_text("all of it")
     for place, reason in (
-        (folder / "copy", "lie within each other"),
-        (tmp_path, "lie within each other"),
-        (folder, "lie within each other"),
+        (folder / "copy", "overlap"),
+        (tmp_path, "overlap"),
+        (folder, "overlap"),
         (foreign, "is not empty and no backup"),
     ):
         code, answer = solimon("backup", place, "--data-dir", folder)

@@ -45,7 +45,9 @@ def instruments(file):
 
 
 def test_the_dialogue_writes_a_complete_file(file, script):
-    answers = "B\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ngo on\n-\n" + NO_OTHERS
+    answers = (
+        "\nB\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ngo on\n-\n" + NO_OTHERS
+    )
     ended = set_up(file, *SCOPE_AND_HAMMER, answers=answers)
     assert ended.exit_code == 0, ended.output
     assert "range_v: Input should be less than or equal to 50 (value: 200)" in ended.output
@@ -54,12 +56,13 @@ def test_the_dialogue_writes_a_complete_file(file, script):
     assert "strike B now" in ended.output, "a person is asked to"
     assert "record: good, flags: none; incident wave 5 V (50% of the range)" in ended.output
     assert "From strikes of B." in file.read_text(encoding="utf-8")
+    assert load_settings(file).name == "laboratory", "the file's, without an answer"
     assert instruments(file)["scripted-scope"].range_v == 5.0
     assert 'address = "usb"' in file.read_text(encoding="utf-8"), "the defaults are there to be seen"
 
 
 def test_an_unsuitable_trigger_level_is_proposed_again(file):
-    answers = "B\n-\nstrike\nyes\n-\ngo on\n-\n" + NO_OTHERS
+    answers = "\nB\n-\nstrike\nyes\n-\ngo on\n-\n" + NO_OTHERS
     ended = set_up(file, "--kind", "scripted-levelled", "--kind", "scripted-hammer", answers=answers)
     assert ended.exit_code == 0, ended.output
     assert "take   scripted-levelled.trigger_level_v 0.5 V, a tenth of the incident wave" in ended.output
@@ -67,7 +70,7 @@ def test_an_unsuitable_trigger_level_is_proposed_again(file):
 
 
 def test_options_answer_every_question_and_strike_only_with_strike(file, script):
-    given = (*SCOPE_AND_HAMMER, *AT_B, "--set", "scripted-scope.range_v=2.5", "--json")
+    given = (*SCOPE_AND_HAMMER, *AT_B, "--set", "scripted-scope.range_v=2.5", "--name", "Tank 3", "--json")
     ended = set_up(file, *given)
     assert ended.exit_code == 0, ended.output
     assert "strike B" not in script.events
@@ -76,6 +79,7 @@ def test_options_answer_every_question_and_strike_only_with_strike(file, script)
         "B": {"digitizer": "scripted-scope", "striker": "scripted-hammer"}
     }
     assert instruments(file)["scripted-scope"].range_v == 2.5
+    assert load_settings(file).name == "Tank 3"
     file.unlink()
     ended = set_up(file, *given, "--strike")
     (struck,) = json.loads(ended.stdout)["struck"]

@@ -206,7 +206,7 @@ def test_status_shows_the_quality_of_each_baseline(filled):
     short = {
         **promised,
         "rate_verified": False,
-        "rate_not_verified_reason": "48 sets cannot show slow memory",
+        "rate_not_verified_reason": "48 sets, 150 needed",
     }
     doubtful = promised | {
         "named": [{"kind": "outlier", "set_indices": [6]}, {"kind": "trend", "set_indices": [0, 1, 2]}]
@@ -221,7 +221,7 @@ def test_status_shows_the_quality_of_each_baseline(filled):
     assert facts["positions"]["B"]["baseline"] == baseline_of_b | short | {"doubts": []}
     lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("baseline")]
     assert lines == [
-        "baseline  B, C: 0.2 false alarms per transducer-year, not verified: 48 sets cannot show slow memory",
+        "baseline  B, C: 0.2 false alarms per transducer-year, not verified: 48 sets, 150 needed",
         "baseline  D: QUESTIONABLE: set 6 is an outlier; a trend over the complete baseline",
         "baseline  D: 0.2 false alarms per transducer-year, verified",
     ]

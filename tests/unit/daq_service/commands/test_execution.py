@@ -141,7 +141,7 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
     again = bench.execute("approve_baseline", position="B")
     assert again == ("rejected", "the baseline of B is approved: there is nothing to sign")
     result = (
-        "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and nothing is judged at B till then"
+        "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and no set of B is assessed until then"
     )
     assert bench.execute("renew_baseline", position="B", note=" coupled anew ") == ("done", result)
     assert baselines(bench) == [("B-baseline-1", "retired", 0, 47), ("B-baseline-2", "collecting", 10, 57)]
@@ -154,7 +154,7 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
 
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench):
     state, answer = bench.execute("renew_baseline", position="B", note=" ")
-    assert (state, "say why the baseline is retired" in answer) == ("rejected", True)
+    assert (state, "give the reason for retiring the baseline" in answer) == ("rejected", True)
     bench.next_set = 378
     state, answer = bench.execute("renew_baseline", position="B", note="a new sensor")
     expected = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "

@@ -106,7 +106,7 @@ def test_a_command_that_is_not_started_in_time_expires(recorder, capsys):
 
 def test_a_started_command_without_a_result_is_reported_as_unknown(recorder):
     with pytest.raises(
-        BusyError, match=r"began order 1 \(pause\) .* look before you give it again"
+        BusyError, match=r"started command 1 \(pause\) .* before you send it again"
     ) as silence:
         recorder.send(
             "pause",

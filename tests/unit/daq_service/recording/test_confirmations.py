@@ -166,15 +166,42 @@ def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     assert requests[1]["reason"] == "what is it?"
 
 
-def test_a_strike_command_before_the_baseline_is_rejected_with_its_reason(line):
-    line.script = healthy
+def test_a_set_struck_before_the_baseline_is_stored_without_an_effect_on_it(undisturbed, line):
     line.order_at(ShotKey(position="C", set_index=3, shot_index=0), "strike", position="B")
     line.run()
     with line.catalogue() as catalogue:
         (command,) = catalogue.rows(CommandRow)
-    assert command.state == "rejected"
-    assert "it has no baseline yet" in command.result
-    assert not confirmation_rows(line)
+    assert command.result == "an unscheduled set is taken at B as soon as the recorder is free"
+    early, *others = confirmation_rows(line)
+    assert (early.set_key, early.state, early.n_valid) == (SetKey(3, 1), "done", 4)
+    assert [row.set_key for row in others] == [AFTER_FIRST, AFTER_THIRD]
+    features = [row for row in confirmation_rows(line, FeatureRow) if row.set_key == early.set_key]
+    assert [row.tof_pp_s is not None for row in features] == [True] * 5
+    assessment = confirmation_rows(line, AssessmentRow)[0]
+    assert (assessment.reason, assessment.confirms, assessment.in_baseline, assessment.baseline_id) == (
+        "no baseline yet",
+        None,
+        False,
+        None,
+    )
+    own = {"sets": {"id": None}, "assessments": {"id": None}, "features": {"id": None, "sequence": None}}
+    for table in ("sets", "assessments", "features", "baselines"):
+        rows = [
+            [replace(row, **own.get(table, {})) for row in item.rows(table)] for item in (line, undisturbed)
+        ]
+        assert rows[0] == rows[1], table
+    assert the_alarm(line).message == the_alarm(undisturbed).message
+
+
+def test_a_set_struck_before_the_baseline_survives_a_rebuild(line):
+    line.order_at(ShotKey(position="C", set_index=3, shot_index=0), "strike", position="B")
+    run(line)
+    before = table_rows(line.folder)
+    assert verify_folder(line.folder).damage == []
+    lose_catalogue(line.folder)
+    assert rebuild_folder_catalogue(line.folder, features_of=line.features_of).warnings == []
+    assert table_rows(line.folder) == before
+    assert "no baseline yet" in [row.reason for row in confirmation_rows(line, AssessmentRow)]
 
 
 def test_a_pause_ends_a_confirmation_set(line):
@@ -277,4 +304,4 @@ def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
     row = confirmation_rows(line)[0]
     assert (row.set_key, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
-    assert row.reason.startswith("it takes up to 29 s, and the next planned set is due in 0 s")
+    assert row.reason.startswith("it takes up to 29 s, and the next scheduled set is due in 0 s")

@@ -144,6 +144,19 @@ def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
         assert line.rows(table) == undisturbed.rows(table), table
 
 
+def test_in_real_time_each_recorder_reports_its_first_due_set_once(line):
+    line.settings, due = memory_settings(clock={"kind": "wall"}), []
+    notify = lambda event, **values: due.append(values) if event == "due" else None  # noqa: E731
+    line.run(stop=line.stop_at(ShotKey(position="B", set_index=3, shot_index=0)), notify=notify)
+    line.run(start_h=1.75, notify=notify)
+    epoch_ns = parse_utc(line.settings.clock.epoch)
+    assert [(one["set_index"], one["due_h"], one["in_s"]) for one in due] == [
+        (0, 0.5, 1800.0),
+        (3, 2.0, 900.0),
+    ]
+    assert due[0]["due_utc_ns"] == epoch_ns + 1800 * 10**9
+
+
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     line.settings = memory_settings(clock={"kind": "wall"})
     monkeypatch.setattr(Persistence, "has_room", property(lambda backlog: len(backlog) < 2))

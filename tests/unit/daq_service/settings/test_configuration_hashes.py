@@ -19,7 +19,10 @@ BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
 
 
 def shipped(folder, *, everything):
-    text = find_config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
+    text = find_config_file("laboratory.toml").read_text(encoding="utf-8")
+    text = text.replace(f'name = "{PLACEHOLDER}"', f'name = "{Settings().name}"').replace(
+        PLACEHOLDER, "FFFFFFFF"
+    )
     path = folder / "laboratory.toml"
     path.write_text(uncomment_tables(text) if everything else text, encoding="utf-8")
     return load_settings(path, overrides=BY_SETS)
@@ -56,3 +59,13 @@ def test_the_shipped_twin_keeps_its_hash():
 
 def test_alarm_settings_are_part_of_the_hash():
     assert Settings().configuration_hash() != Settings(**BY_SETS).configuration_hash()
+
+
+def test_a_new_calibration_continues_a_folder_and_a_minimum_wall_begins_another_one():
+    def hash_of(**probe):
+        positions = {"A": {"method": "pulse_echo", **probe}}
+        return Settings(positions=positions).configuration_hash()
+
+    calibration = {"certificate": "7", "calibrated_on": "2026-01-15", "due_on": "2027-01-15"}
+    assert hash_of(calibration=calibration) == hash_of(minimum_wall_m=None) == hash_of()
+    assert hash_of(minimum_wall_m=5e-3) != hash_of()

@@ -85,6 +85,7 @@ def test_each_coil_has_the_home_terminal_of_its_counter():
 
 def test_all_placeholders_are_rejected_together():
     unknown = [
+        "name: Name of the test.",
         "rig.daqmx.transducers.B.board_serial: Serial number of the digitizer board",
         "rig.daqmx.transducers.C.board_serial: Serial number of the digitizer board",
         "rig.daqmx.transducers.D.board_serial: Serial number of the digitizer board",

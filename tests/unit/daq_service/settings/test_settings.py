@@ -1,6 +1,7 @@
 import json
 
 import pytest
+from pydantic import ValidationError
 
 from daq_service.errors import UsageError
 from daq_service.settings.file import find_config_file, load_settings, validate_settings
@@ -78,7 +79,7 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path):
         ('[web]\nproxy = "proxy.example"', ["web.proxy", "'proxy.example'", "give an IP address"]),
         ('[web]\nhost_names = ["Lab!"]', ["web.host_names", "Lab!", "pattern"]),
         ('[web]\ntls_key = "k.pem"', ["web", "web.tls_certificate and web.tls_key belong together"]),
-        ('[web]\nhost_names = ["lab.org"]', ['web.host_names is ["lab.org"]', "set web.tls_certificate"]),
+        ('[web]\nhost_names = ["lab.org"]', ['web.host_names is ["lab.org"]', "Set web.tls_certificate"]),
         ('[web]\nhost = "0.0.0.0"\nproxy = "10.0.0.2"', ["web", "no name is given", "web.host_names"]),
         ("[alarms]\nk = 6", ["alarms", "k is 6", "n = 5"]),
         ("[baseline]\nminimum_valid_shots = 11", ["minimum_valid_shots is 11", "shots_per_set = 10"]),
@@ -238,3 +239,22 @@ def test_a_file_with_the_key_storage_journal_loads_with_a_warning(tmp_path, capl
     path.write_text(text.replace("false", "true"), encoding="utf-8")
     assert "journal" not in load_settings(path).storage.model_dump()
     assert caplog.text == "", "what every folder of today holds"
+
+
+@pytest.mark.parametrize(
+    ("position", "problem"),
+    [
+        ({"method": "pulse_echo", "minimum_wall_m": 7e-3}, "minimum_wall_m = 0.007 must be below"),
+        ({"method": "solitary_wave", "minimum_wall_m": 5e-3}, "needs the method pulse_echo"),
+        (
+            {
+                "method": "solitary_wave",
+                "calibration": {"calibrated_on": "2026-01-02", "due_on": "2026-01-01"},
+            },
+            "due_on = 2026-01-01 precedes",
+        ),
+    ],
+)
+def test_contradicting_limits_and_dates_are_rejected(position, problem):
+    with pytest.raises(ValidationError, match=problem):
+        Settings(positions={"P": position})

@@ -20,7 +20,7 @@ TARGETS = [
     for panel in DASHBOARD["panels"]
     for target in panel["targets"]
 ]
-RULES = re.findall(r"^\| `(.+?)` \|", (ROOT / "docs/how-to/grafana.md").read_text(encoding="utf-8"), re.M)
+RULES = re.findall(r"^- `(.+?)`:", (ROOT / "docs/how-to/grafana.md").read_text(encoding="utf-8"), re.M)
 OF_PROMETHEUS = {"instance", "job"}
 OF_SEVERAL = "test"
 """A label of each sample of a test where the service has several."""

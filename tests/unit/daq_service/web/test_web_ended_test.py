@@ -13,6 +13,7 @@ from daq_service.catalogue.rows import CommandRow
 from daq_service.commands.audit import read_audit_log
 from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.settings.tree import Settings
+from daq_service.web.tables.formats import FORMATS
 from hardware_drivers.nanoseconds import NS_PER_H
 
 
@@ -126,3 +127,48 @@ def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
     assert found("state=acknowledged") == found("priority=low") == found("kind=few_valid_shots") == [2]
     assert found("from_h=0.9") == found("priority=high&position=B") == [1]
     assert found("from_h=0.5&to_h=1.0") == [2]
+
+
+@pytest.mark.parametrize(
+    ("path", "is_strong"),
+    [
+        ("tables/features?position=B", True),
+        ("tables/features?position=B&format=parquet", False),
+        ("trends/B?points=9", False),
+    ],
+)
+def test_an_ended_test_answers_304_until_something_changes(ended, path, is_strong):
+    filled, api = ended
+    first = api.get(f"/api/v1/{path}")
+    etag = first.headers["etag"]
+    assert (first.status_code, etag.startswith("W/")) == (200, not is_strong)
+    same = api.get(f"/api/v1/{path}", headers={"If-None-Match": f'"other", {etag}'})
+    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", etag)
+    if is_strong:
+        assert api.get(f"/api/v1/{path}").content == first.content
+    for other in (f"{path}&from_h=1", path.replace("B", "C")):
+        assert api.get(f"/api/v1/{other}", headers={"If-None-Match": etag}).status_code == 200
+    assert api.post("/api/v1/alarms/1/acknowledge", json={"note": "seen"}).json()["state"] == "done"
+    changed = api.get(f"/api/v1/{path}", headers={"If-None-Match": etag})
+    assert (changed.status_code, changed.headers["etag"] == etag) == (200, False)
+    with filled_folder(filled.folder, filled.settings, exists=True):
+        running = api.get(f"/api/v1/{path}", headers={"If-None-Match": changed.headers["etag"]})
+    assert (running.status_code, running.headers.get("etag")) == (200, None), "a recorder runs"
+
+
+def test_the_format_by_accept_has_its_own_etag_and_alarms_have_none(ended):
+    _, api = ended
+    csv = api.get("/api/v1/tables/sets").headers["etag"]
+    parquet = FORMATS["parquet"].media_type
+    asked = {"If-None-Match": csv, "Accept": parquet}
+    answer = api.get("/api/v1/tables/sets", headers=asked)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, parquet)
+    assert "etag" not in api.get("/api/v1/tables/alarms").headers, "a shelf may expire"
+
+
+def test_a_rebuilt_catalogue_has_another_etag(ended):
+    filled, api = ended
+    etag = api.get("/api/v1/trends/B").headers["etag"]
+    path = filled.folder / "catalogue.sqlite"
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 1))
+    assert api.get("/api/v1/trends/B", headers={"If-None-Match": etag}).status_code == 200

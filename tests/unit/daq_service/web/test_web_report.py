@@ -19,7 +19,7 @@ from support.small_experiment import AtOnce
 from daq_service import client
 from daq_service.alarms.states import describe_alarm, format_number
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow, ThicknessRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
@@ -232,6 +232,34 @@ def decides(alarms):
     macros = _create_environment().get_template("macros.html.j2").module
     page = Page(str(macros.alarm_rules(Settings(alarms=alarms))).encode())
     return dict(page.tables[""])
+
+
+def test_methods_calibration_and_an_assumed_delay_are_stated(tmp_path):
+    calibration = {"calibrated_on": "2026-01-15", "due_on": "2026-01-16", "sensitivity_v_per_n": 0.5}
+    positions = {
+        "A": {"method": "pulse_echo"},
+        "B": {"method": "solitary_wave", "calibration": {**calibration, "certificate": "<7>"}},
+    }
+    settings = Settings(name="a <b> & c", positions=positions)
+    with filled_folder(tmp_path, settings, shots_per_set=2) as folder:
+        folder.add_set(0)
+        times_s = [row.tof_pp_s for row in folder.catalogue.rows(FeatureRow, scope="shot")]
+        printed = make_report(tmp_path, "--methods").stdout
+        assert (
+            make_report(tmp_path, "--methods", "--json").stdout
+            == json.dumps({"ok": True, "methods": printed.rstrip("\n")}) + "\n"
+        )
+        make_report(tmp_path, "--out", tmp_path.parent / "report.html")
+    page = Page((tmp_path.parent / "report.html").read_bytes())
+    assert printed.rstrip("\n") in page.words
+    assert printed.startswith('The test "a <b> & c" was recorded with solimon 0 on the rig simulated (a')
+    assert "every 0.5 h until hour 75, then every 1 h until hour 350. At B, a set" in printed
+    assert "with a probe delay of 8.00 µs, which is assumed. The uncertainty" in printed
+    assert "sensor of B was calibrated on 2026-01-15 (certificate <7>), sensitivity 0.5 V/N.\n" in printed
+    assert page.tables["Position B"][1][-1] == f"{1e6 * abs(times_s[0] - times_s[1]) / 2.0:.2f} µs"
+    identity = page.tables["Identity"]
+    assert ["Probe delay", "8.00 µs, assumed"] in identity
+    assert ["2026-01-15, <7>", "2026-01-16 (overdue)", "0.500 V/N"] in [row[4:] for row in identity]
 
 
 def test_the_report_describes_the_configured_alarm_rule():

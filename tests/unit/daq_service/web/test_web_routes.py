@@ -1,6 +1,7 @@
 """Every read route of the service on a folder filled through the real catalogue and archive."""
 
 import json
+import math
 import re
 import time
 from datetime import UTC, datetime, timedelta
@@ -268,6 +269,23 @@ def test_no_trend_exceeds_its_size_limit(api, monkeypatch, query):
 def test_trend_gives_the_chosen_fields_only(api):
     columns = get(api, "/api/v1/trends/A?fields=thickness_m")["columns"]
     assert set(columns) == {"set_index", "due_h", "due_utc", "age_h", "quality", "thickness_m"}
+
+
+def test_standard_errors_are_those_of_the_shots_of_each_set(api, filled):
+    columns = get(api, "/api/v1/trends/B?fields=tof_pp_s,standard_error_tof_pp_s")["columns"]
+    rows = filled.catalogue.rows(FeatureRow, position="B", scope="shot")
+    shots = np.reshape([row.tof_pp_s for row in rows], (N_SETS, -1))
+    expected = shots.std(axis=1, ddof=1) / math.sqrt(shots.shape[1])
+    np.testing.assert_allclose(columns["standard_error_tof_pp_s"], expected, rtol=1e-9)
+    items = get(api, "/api/v1/features?position=B&limit=1000")["items"]
+    np.testing.assert_array_equal(
+        [item["standard_error"]["tof_pp_s"] for item in items], columns["standard_error_tof_pp_s"]
+    )
+    assert get(api, "/api/v1/features?position=B&scope=shot")["items"][0]["standard_error"] is None
+    bins = get(api, "/api/v1/trends/B?points=8&fields=standard_error_tof_pp_s")["columns"]
+    assert set(bins["standard_error_tof_pp_s"]) == {None}
+    problem = api.get("/api/v1/trends/A?fields=standard_error_tof_pp_s")
+    assert problem.status_code == 422
 
 
 def test_fit_is_the_least_squares_parabola(api, filled):

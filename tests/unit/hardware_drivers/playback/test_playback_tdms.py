@@ -249,7 +249,7 @@ def test_the_range_itself_counts_as_clipped_and_is_within_the_error(tmp_path, ex
 
 @pytest.mark.parametrize(
     ("value", "message"),
-    [(10.001, r"10\.001 V is beyond the range of 10 V; raise range_v"), (np.nan, "a value is not finite")],
+    [(10.001, r"10\.001 V exceeds the range of 10 V; raise range_v"), (np.nan, "a value is not finite")],
 )
 def test_values_that_no_code_can_hold_are_refused_when_asked_for(tmp_path, value, message):
     volts = np.zeros(300)
@@ -317,7 +317,7 @@ def test_a_missing_trigger_position_is_requested(tmp_path, offset):
     offsets = {} if offset is None else {"wf_start_offset": offset}
     one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_offset") | offsets)
     with pytest.raises(
-        ConfigurationError, match=r"where the trigger is cannot be told.*give pretrigger_samples"
+        ConfigurationError, match=r"the position of the trigger is unknown.*give pretrigger_samples"
     ):
         open_tdms(tmp_path)
     assert played(tmp_path, pretrigger_samples=0).waveform.pretrigger_samples == 0
@@ -389,7 +389,7 @@ def test_properties_may_supply_all_settings(tmp_path):
     with open_tdms(tmp_path / "data.tdms", TdmsMapping(**patterns, **mapping, first_shot=1)) as shots:
         assert list(shots.places) == [KEY]
         assert shots.positions == {"B": "solitary_wave"}
-    with pytest.raises(ConfigurationError, match="property 'Sets' that tells the set is missing"):
+    with pytest.raises(ConfigurationError, match="property 'Sets' that gives the set is missing"):
         open_tdms(tmp_path, TdmsMapping(**patterns, **mapping | {"set_property": "Sets"}))
 
 
@@ -434,7 +434,7 @@ def test_appended_records_are_shots_of_one_channel(tmp_path):
     ):
         open_tdms(tmp_path, TdmsMapping(**mapping, record_samples=400))
     one_channel(tmp_path, counts, without(RAW, "wf_samples"), name="Voltage")
-    with pytest.raises(ConfigurationError, match=r"length of a record cannot be told.*give record_samples"):
+    with pytest.raises(ConfigurationError, match=r"length of a record is unknown.*give record_samples"):
         open_tdms(tmp_path, TdmsMapping(**mapping))
 
 

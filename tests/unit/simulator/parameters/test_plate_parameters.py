@@ -13,7 +13,7 @@ from simulator.plate.mindlin.cache import hash_reduction
         (
             PlateParameters,
             {"contact_x_m": 0.3048},
-            r"contact_x_m is 0.3048 m; .* within 0.3048 m of the centre",
+            r"contact_x_m is 0.3048 m; .* at most 0.3048 m from the centre",
         ),
         (PlateParameters, {"contact_y_m": -0.31}, "contact_y_m is -0.31 m"),
         (

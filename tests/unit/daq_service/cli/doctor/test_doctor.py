@@ -242,7 +242,7 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
         ("win32", {"powershell": "True\nC:\\other\nc:\\LAB"}, True, "an exception"),
         ("win32", {"powershell": "True\nC:\\lab\\data2"}, False, "no exception"),
         ("win32", {"powershell": "True"}, False, "no exception"),
-        ("win32", {"powershell": HIDDEN}, None, "administrators alone"),
+        ("win32", {"powershell": HIDDEN}, None, "only administrators"),
         ("win32", {}, None, "unknown"),
         ("darwin", {}, None, "not asked"),
     ],

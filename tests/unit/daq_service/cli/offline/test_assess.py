@@ -140,7 +140,7 @@ def test_the_text_output_has_baseline_limits_and_alarms(tables):
     assert "baseline   40 sets" in answer.output
     assert "f_predictive" in answer.output
     assert "at rows 9" in answer.output
-    assert "1 false alarms a year at 24 sets a day not promised: 40 sets" in answer.output
+    assert "1 false alarms per year at 24 sets per day not promised: 40 sets" in answer.output
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_a_baseline_that_leaves_no_row_to_assess_causes_a_warning(tables):
     answer = run(tables[".npy"], "--baseline-rows", 500, "--json")
     (found,) = json.loads(answer.stdout)["sensors"]
     assert found["n"] == 120
-    assert found["nothing_judged"].startswith("the last of 120 rows is baseline: nothing is judged")
+    assert found["nothing_judged"].startswith("the last of 120 rows is baseline: no row is assessed")
     assert found["nothing_judged"] in answer.stderr
     assert assessed_sensors(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
 
@@ -372,7 +372,7 @@ def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(t
     assert cause["last_row"] == 299
     assert len(fleet["explained"]) >= 20
     output = run(*paths[:7], "--baseline-rows", 150, "--fleet").output
-    assert "fleet of 7 sensors, 6 judged" in output
+    assert "fleet of 7 sensors, 6 assessed" in output
     assert "fewer than 20 sensors: what they share is not taken out" in output
     every = describe_fleet(fleet)
     assert "look at    " in every

@@ -224,8 +224,8 @@ def test_depth_factor_of_the_only_patch_rescales_the_depth():
         ({"size_m": 0.01}, "overlap; move them apart"),
         # The corner of the square lies within the circle, 0.7 of its radius away along both axes.
         ({"shape": "round", "size_m": 0.02, "offset_x_m": 0.02, "offset_y_m": 0.02}, "overlap"),
-        ({"offset_x_m": 0.15, "size_m": 0.02}, r"reaches 0.16 m .* along x, beyond its edge at 0.15 m"),
-        ({"offset_y_m": -0.095, "size_m": 0.02}, r"along y, beyond its edge at 0.1 m"),
+        ({"offset_x_m": 0.15, "size_m": 0.02}, r"reaches 0.16 m .* along x, past its edge at 0.15 m"),
+        ({"offset_y_m": -0.095, "size_m": 0.02}, r"along y, past its edge at 0.1 m"),
     ],
 )
 def test_impossible_patches_are_refused(further, message):
