@@ -64,6 +64,10 @@ export class SolimonNotes extends HTMLElement {
     );
     this.dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "note-title" }, this.form));
     cancel.addEventListener("click", () => this.dialog.close());
+    this.text.placeholder = "Ctrl+Enter saves";
+    this.text.addEventListener("keydown", (event) => {
+      if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) this.form.requestSubmit();
+    });
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.save();
