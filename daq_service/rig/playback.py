@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 from daq_service.archive import (
     CorruptArchiveError,
@@ -73,6 +73,7 @@ class ArchivedShots:
         first = self._find_first_readable_set()
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
+        self.configuration: dict[str, Any] = first.provenance.get("configuration", {})
         self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
         self._shots = ShotsBySet(_find_positions(first), self._read_set_records)
         self._moments: dict[SetKey, list[int]] = {}

@@ -103,14 +103,6 @@ def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path):
     assert rows_of(tmp_path / "played")["set_features"] == rows_of(recording)["set_features"] != []
 
 
-def test_a_recording_of_labview_has_its_names_written_down(tmp_path):
-    (tmp_path / "labview").mkdir()
-    write_configuration("playback", tmp_path / "playback.toml", "--source", tmp_path / "labview")
-    playback = load_settings(tmp_path / "playback.toml").rig.playback
-    assert (playback.format, playback.source) == ("tdms", tmp_path / "labview")
-    assert "file_pattern = " in (tmp_path / "playback.toml").read_text(encoding="utf-8")
-
-
 def test_no_file_is_overwritten(tmp_path):
     file, schema = tmp_path / "twin.toml", tmp_path / "settings.schema.json"
     file.write_text("mine")
