@@ -21,7 +21,7 @@ from pathlib import Path
 
 from daq_service.errors import StorageError, StorageUnavailableError
 
-REMEDY = "`solimon rebuild` makes it again from sets, journal and history, and keeps this one beside it"
+REMEDY = "`solimon rebuild` rebuilds it from sets, journal and history, and keeps this one next to it"
 BUSY_TIMEOUT_S = 5.0
 """Wait of a writer for another one; a set's commit takes milliseconds."""
 
@@ -86,11 +86,11 @@ def translate_driver_error(path: Path, action: str, error: BaseException | None)
     if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, 0):
         return CatalogueDamagedError(f"{message}; {REMEDY}")
     if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-        return CatalogueWriteError(f"{message}; nothing of it was stored: free or mend the disk")
+        return CatalogueWriteError(f"{message}; nothing was stored: free disk space, or repair the disk")
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
         return CatalogueWriteError(f"{message}; give this user the right to write the folder")
     if code == sqlite3.SQLITE_CONSTRAINT:
         return CatalogueConflictError(
-            f"{message}; nothing of it was stored: such a row exists, or lacks what it belongs to"
+            f"{message}; nothing was stored: such a row exists, or lacks what it belongs to"
         )
     return CatalogueError(message)

@@ -43,7 +43,7 @@ def write_experiment_file(folder: Path, row: ExperimentRow) -> None:
         write_durably(path, content, temporary=path.with_suffix(HINT_SUFFIX))
     except OSError as error:
         raise CatalogueWriteError(
-            f"{path} cannot be written: {error.strerror}; free or mend the disk"
+            f"{path} cannot be written: {error.strerror}; free disk space, or repair the disk"
         ) from error
 
 
@@ -64,7 +64,7 @@ def read_experiment_file(folder: Path) -> ExperimentRow | None:
         return None
     except OSError as error:
         raise CatalogueError(
-            f"{path} cannot be read: {error.strerror}; mend the disk or its rights"
+            f"{path} cannot be read: {error.strerror}; repair the disk or its permissions"
         ) from error
     try:
         stored = orjson.loads(content)
@@ -118,8 +118,8 @@ def raise_if_other_record(
     text, other_text = describe_experiment(row), describe_experiment(other_row)
     if text != other_text:
         raise OtherExperimentError(
-            f"{folder} holds two experiments: {name} tells of {text}, {other_name} of {other_text}; "
-            "take out what does not belong here, or choose another folder with --data-dir"
+            f"{folder} holds two tests: {name} tells of {text}, {other_name} of {other_text}; "
+            "remove what does not belong here, or choose another folder with --data-dir"
         )
 
 

@@ -276,7 +276,7 @@ class Catalogue:
         """
         if unknown := set(names) - set(kind.__slots__):
             of_table = f"{TABLES[kind].name!r}; it has {sorted(kind.__slots__)}"
-            raise CatalogueError(f"{sorted(unknown)} are no columns of {of_table}")
+            raise CatalogueError(f"{sorted(unknown)} are not columns of {of_table}")
         if not names:
             return {}
         # Complete rows: only these can be compared with their checksums.
@@ -312,7 +312,7 @@ class Catalogue:
         row = self._read_newest_row(ExperimentRow)
         if row is None:
             raise NoDataYetError(
-                f"{self._path}: the experiment has not begun; start `solimon record` or wait for it",
+                f"{self._path}: the test has not started; start `solimon record`, or wait for it",
                 self._path.parent,
             )
         return row

@@ -239,7 +239,7 @@ class AssessmentRow(RowOfSet):
     baseline_id: Annotated[int | None, "Baseline of the assessment; null: none"] = None
     in_baseline: Annotated[bool, "The set belongs to the baseline"]
     distance_squared: Annotated[float | None, "Squared Mahalanobis distance from the baseline"] = None
-    limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
+    limit_name: Annotated[str, "Limit above which the set is an outlier"]
     limit_f_predictive: Annotated[
         float | None, "Predictive F limit of `distance_squared`; null: none yet"
     ] = None
@@ -320,7 +320,7 @@ class AnnotationRow(Row):
     """A person's note for an hour or a range of hours; it is withdrawn, never deleted."""
 
     id: int | None = None
-    position: Annotated[str | None, "null: the whole test"] = None
+    position: Annotated[str | None, "null: the complete test"] = None
     from_h: float
     to_h: Annotated[float, "The same as `from_h`: an instant"]
     text: str

@@ -167,12 +167,14 @@ class UnchangedCatalogue:
                 results = [str(row[0]) for row in copy.execute("PRAGMA integrity_check")]
         except sqlite3.OperationalError as error:
             raise CatalogueWriteError(
-                f"{target} cannot be written: {error}; free or mend the disk"
+                f"{target} cannot be written: {error}; free disk space, or repair the disk"
             ) from error
         except sqlite3.DatabaseError as error:
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
         if results != ["ok"]:
-            raise CatalogueDamagedError(f"{self._path} is damaged: {results[0]}; solimon verify says more")
+            raise CatalogueDamagedError(
+                f"{self._path} is damaged: {results[0]}; run solimon verify for details"
+            )
 
     def n_rows(self) -> int:
         """Count the rows of all tables except SQLite's own; CatalogueDamagedError if unreadable."""

@@ -152,7 +152,7 @@ class ProgressReport:
             else:
                 click.echo(text, err=err)
         except (OSError, ValueError) as gone:  # ValueError: closed, or letters that its encoding lacks
-            log.debug("nobody reads %r: %s", text, gone)
+            log.debug("no reader for %r: %s", text, gone)
 
     def _compose_progress_line(self) -> Text:
         """Compose the line rewritten on a terminal: progress, and an activity longer than `SHOWN_AFTER_S`."""

@@ -104,7 +104,7 @@ class Before:
         It is unverified if it is before the last stored time, or more than ``doubt_after_h`` after it while
         the kernel does not report it as synchronised.
         """
-        says = f"the system's clock says {format_utc(system_ns, 0)}"
+        says = f"the computer clock is {format_utc(system_ns, 0)}"
         last = f"what was stored last ({format_utc(self.last_utc_ns, 0)})"
         gap_h = (system_ns - self.last_utc_ns) / NS_PER_H
         if gap_h < 0.0:

@@ -131,7 +131,7 @@ class WallClock:
 
         Raise AssertionError if the system's UTC is verified.
         """
-        assert self._doubted is not None, "only a doubted clock is believed anew"
+        assert self._doubted is not None, "the computer clock is verified already"
         utc_ns = max(system_ns, self._doubted.last_utc_ns)
         self._line = TimeLine(utc_ns=utc_ns, elapsed_ns=elapsed_ns, ahead_ns=system_ns - utc_ns)
         self._doubted = None

@@ -23,7 +23,7 @@ class RenewalArguments(TransducerArguments):
     note: Annotated[
         str,
         Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
-        AfterValidator(partial(require_visible_text, message="say why the baseline is retired")),
+        AfterValidator(partial(require_visible_text, message="state why the baseline is retired")),
     ]
 
 
@@ -43,7 +43,7 @@ class ApproveBaseline(TransducerCommand):
         state = "collecting" if row is None else row.state
         if unknown is None and row is not None and state == "proposed" and row.limit_reason:
             reason = f"the baseline of {position} has no limits: {row.limit_reason}"
-            return Refusal(reason, "Nothing is judged by it, signed or not.")
+            return Refusal(reason, "It assesses no set, approved or not.")
         if unknown is not None or state == "proposed":
             return unknown
         reason = f"the baseline of {position} is {state}: there is nothing to sign"
@@ -94,5 +94,5 @@ class RenewBaseline(TransducerCommand):
         test.renewed(position)
         return (
             f"{retired.name} is retired; {collecting.name} collects sets {collecting.first_set_index} to "
-            f"{collecting.last_set_index}, and nothing is judged at {position} till then"
+            f"{collecting.last_set_index}, and no set is assessed at {position} till then"
         )

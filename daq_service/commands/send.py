@@ -92,11 +92,11 @@ def send_command(
         raise UsageError(f"the recorder rejected {kind}: {row.result}")
     if row.state == "started":
         raise BusyError(
-            f"the recorder began order {order_id} ({kind}) and has not answered within "
-            f"{carried_out_within_s:g} s; look before you give it again: `solimon status` tells what it does"
+            f"the recorder started command {order_id} ({kind}) and has not answered within "
+            f"{carried_out_within_s:g} s; check `solimon status` before you send it again"
         )
     if row.state != "done":
-        raise BusyError(f"order {order_id} ({kind}) {row.state}: {row.result}")
+        raise BusyError(f"command {order_id} ({kind}) {row.state}: {row.result}")
     if not as_json:
         click.echo(row.result)
     return EXIT_OK
@@ -116,8 +116,8 @@ def _require_listening_recorder(folder: Path, catalogue: Catalogue) -> None:
         )
     if not recorder.listens:
         raise BusyError(
-            f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
-            "`solimon run` or `solimon record`, then send the command again"
+            f"no recorder runs on {folder}: nothing strikes, and no recorder would execute this; start it "
+            "with `solimon run` or `solimon record`, then send the command again"
         )
 
 

@@ -61,7 +61,7 @@ class _AlarmOrder(StoredCommand):
         try:
             self._build_change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
         except ValueError as error:
-            return Refusal(str(error), "/api/v1/alarms tells how it is now.")
+            return Refusal(str(error), "/api/v1/alarms has its present state.")
         return None
 
     def carry_out_stored(self, test: StoredTest) -> str:

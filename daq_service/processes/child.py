@@ -166,7 +166,7 @@ def log_to_file(path: Path) -> None:
         path.touch()
         faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
     except OSError as error:
-        print_line(f"solimon: no log in {path.parent}: {error.strerror}; the test goes on without")
+        print_line(f"solimon: no log in {path.parent}: {error.strerror}; the test continues without it")
 
 
 @contextmanager
@@ -263,4 +263,4 @@ def notify_supervisor(event: str, **values: object) -> None:
     try:
         os.write(pipe, json.dumps({"event": event, **values}).encode() + b"\n")
     except OSError as error:
-        log.log(logging.DEBUG if event == "beat" else logging.INFO, "nobody reads %s: %s", event, error)
+        log.log(logging.DEBUG if event == "beat" else logging.INFO, "no reader for %s: %s", event, error)

@@ -52,7 +52,7 @@ def validate_executor_name(name: str, workers: int | None) -> str:
         There is no such executor, or a number of workers is given for a cluster.
     """
     if name not in ("processes", "threads") and not (name.startswith(DASK) and urlsplit(name).hostname):
-        raise UsageError(f"--executor {name}: say processes, threads, or dask://HOST or dask://HOST:PORT")
+        raise UsageError(f"--executor {name}: give processes, threads, or dask://HOST or dask://HOST:PORT")
     if name.startswith(DASK) and workers is not None:
         raise UsageError("--workers does not belong to a cluster, which has its own; leave it out")
     return name

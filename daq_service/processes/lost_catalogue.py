@@ -55,7 +55,7 @@ def describe_loss(folder: Path) -> str:
     """
     if not is_catalogue_lost(folder):
         return ""
-    problem = f"the catalogue of {folder} is lost, though its test was begun"
+    problem = f"the catalogue of {folder} is lost, though its test was started"
     if is_held(folder):
         return (
             f"{problem}; the recorder that runs there makes it again at its start: if this stays, "
@@ -75,4 +75,4 @@ def read_folder_history(folder: Path) -> History:
     try:
         return read_history(folder)
     except OSError as error:
-        raise CatalogueError(f"{folder / HISTORY_FILE} cannot be read: {error}; mend the disk") from error
+        raise CatalogueError(f"{folder / HISTORY_FILE} cannot be read: {error}; repair the disk") from error

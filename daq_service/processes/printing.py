@@ -32,7 +32,7 @@ def print_line(text: str, *, err: bool = True) -> None:
         try:
             print(text, file=sys.stderr if err else sys.stdout, flush=True)
         except (OSError, ValueError) as error:
-            log.debug("nobody reads %r: %s", text, error)
+            log.debug("no reader for %r: %s", text, error)
             discard_unwritten_output()
 
     thread = threading.Thread(target=write, name=PRINTING, daemon=True)

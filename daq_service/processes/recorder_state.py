@@ -15,9 +15,9 @@ from daq_service.processes.heartbeat import Beat, compute_beat_age_s, read_heart
 RecorderStatus = Literal["running", "finished", "stopped", "not_responding", "not_started"]
 
 FAREWELLS: dict[str, tuple[RecorderStatus, str]] = {
-    "schedule_done": ("finished", "finished: every planned set has its row"),
-    "recorder_stopped": ("stopped", "stopped by its operator; start it again to go on"),
-    "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to go on"),
+    "schedule_done": ("finished", "finished: every scheduled set has its row"),
+    "recorder_stopped": ("stopped", "stopped by its operator; start it again to continue"),
+    "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to continue"),
 }
 PROCESS_EVENTS = ("recorder_started", *FAREWELLS)
 """Events of the service that show the status of a recorder."""
@@ -124,7 +124,7 @@ def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
     """
     if kinds and not folder.is_dir():
         description = (
-            f"nobody can tell: {folder} is gone; a recorder that runs keeps what it takes in memory and "
+            f"unknown: {folder} is gone; a recorder that runs keeps what it takes in memory and "
             "stores it when the folder is back: bring it back"
         )
         return RecorderState(

@@ -103,7 +103,7 @@ class TakenSet:
         granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
         if granted:
             self.restrikes[position] += 1
-            log.info("%s is %s: struck once more", taken.key, ", ".join(flags))
+            log.info("%s is %s: struck again", taken.key, ", ".join(flags))
         return granted
 
     @property
@@ -367,7 +367,7 @@ class SetAcquisition:
             cut_short_reason
             or self._set_assessor.disabled().get(position)
             or self._commands.paused
-            or "the recorder was told to stop"
+            or "the recorder was stopped"
         )
         return taken.find_shortfall(position, self._set_assessor.n_planned[position], end_reason)
 

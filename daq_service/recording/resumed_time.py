@@ -67,7 +67,7 @@ def compute_hour_0_ns(system_ns: int) -> int:
     """
     if system_ns < parse_utc(EARLIEST_UTC):
         raise UsageError(
-            f"the system's clock says {format_utc(system_ns, 0)}, which is before {EARLIEST_UTC}; set it, "
+            f"the computer clock is {format_utc(system_ns, 0)}, which is before {EARLIEST_UTC}; set it, "
             "then begin the test"
         )
     return system_ns

@@ -223,7 +223,7 @@ def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterat
     address = os.environ.get(CONTROL_VARIABLE)
     if not address:
         raise UsageError(
-            f"rig.on_doubles is true, but {CONTROL_VARIABLE} does not say where the doubles are; start this "
+            f"rig.on_doubles is true, but {CONTROL_VARIABLE} does not name the doubles; start this "
             "test by `solimon demo --rig ...`"
         )
     with DoublesControl(address) as control:

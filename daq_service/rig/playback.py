@@ -291,7 +291,7 @@ def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator
 
 def _check_boards(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
     """Yield the only finding of a playback: state ``ok``, because there are no boards to check."""
-    yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
+    yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to check")
 
 
 def _list_packages(parameters: PlaybackParameters) -> tuple[str, ...]:

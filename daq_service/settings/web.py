@@ -79,7 +79,7 @@ class WebSettings(BaseModel):
             )
         if self.is_reachable and not self.names_elsewhere:
             raise ValueError(
-                "no name is given by which others reach the service; say in web.host_names how browsers call "
+                "no host name is given for other computers; set web.host_names to how browsers call "
                 'this computer, for example ["lab.example.org"]'
             )
         return self

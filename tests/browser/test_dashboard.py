@@ -225,16 +225,16 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
 
 def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled, page = ordering
-    filled.add_alarm(None, N_SETS - 1, kind="clock_unverified", message="the system's clock says 2010")
+    filled.add_alarm(None, N_SETS - 1, kind="clock_unverified", message="the computer clock is 2010")
     alarms = page.locator("#alarms")
-    expect(alarms).to_contain_text("the system's clock says 2010")
+    expect(alarms).to_contain_text("the computer clock is 2010")
     alarms.get_by_role("button", name="The clock is right").click()
     expect(alarms.get_by_role("button", name="Sent")).to_be_visible()
     filled.add_alarm("B", N_SETS - 1, message="the list is drawn anew")
     expect(alarms).to_contain_text("the list is drawn anew")
     expect(alarms.get_by_role("button", name="Sent")).to_be_disabled()
-    answer(filled, "trust_clock", {"note": ""}, state="rejected", result="nobody doubts the system's clock")
-    expect(page.locator("body")).to_contain_text("nobody doubts the system's clock")
+    answer(filled, "trust_clock", {"note": ""}, state="rejected", result="the computer clock is verified")
+    expect(page.locator("body")).to_contain_text("the computer clock is verified")
     expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
 
 

@@ -105,7 +105,7 @@ def build_finding_check(finding: Finding, instrument: str = "") -> Check:
     if finding.held:
         # A program that holds an instrument counts like a recorder.
         return Check("recorder", name, "fail", finding.detail, HELD)
-    remedy = finding.remedy or "see what its maker says of it"
+    remedy = finding.remedy or "read its maker's documentation"
     return Check("rig", name, finding.state, finding.detail, remedy, finding.values)
 
 

@@ -57,13 +57,13 @@ def strike_and_check_coil(
     try:
         survey = strike_and_survey_coil(parameters, position, timeout_s)
     except InstrumentError as error:
-        check = build_error_check(name, error, "mend what failed above, then strike")
+        check = build_error_check(name, error, "correct what failed above, then strike")
         if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
             # A board that its counter cannot start takes shots all the same.
             check = replace(check, area="rig", state="warn")
         return check, None
     except AnalysisError as error:
-        found = f"the record of a whole strike cannot be assessed: {error}"
+        found = f"the record of a complete strike cannot be assessed: {error}"
         return Check("rig", name, "warn", found, "see the log"), None
     return _build_spike_check(name, parameters, survey), survey
 
@@ -80,7 +80,7 @@ def _build_spike_check(name: str, parameters: DaqmxParameters, survey: SpikeSurv
     wave_text = (
         f"the wave came {_format_time(survey.wave_after_s)} after off with {survey.wave_v:.3g} V"
         if survey.wave_after_s is not None
-        else "no wave stands out"
+        else "no wave is above the noise"
     )
     holdoff_text = "no holdoff" if holdoff_s is None else f"held off for {_format_time(holdoff_s)}"
     return Check(

@@ -108,7 +108,7 @@ def _check_file_system(folder: Path) -> Check:
     if kind is not None:
         found, remedy = f"on a network file system ({kind})", "choose a local disk with --data-dir"
     elif sys.platform not in ("linux", "win32"):
-        found, remedy = "this system does not tell whether it is local", "see that it is on a local disk"
+        found, remedy = "this system does not report whether it is local", "see that it is on a local disk"
     state: State = "fail" if kind is not None else "warn" if remedy else "ok"
     text = f"{folder}: {found}" if state == "warn" else f"{folder} is {found}"
     values = {"folder": str(folder), "network_file_system": kind}
@@ -199,13 +199,13 @@ def _check_stored_sets(folder: Path) -> list[Check]:
     except (NoDataYetError, SchemaVersionError):
         return []  # not started, or an earlier version's: `_check_owner` reports that
     except (StorageError, OSError) as error:
-        return [_make_failure(name, str(error), "solimon verify says more")]
+        return [_make_failure(name, str(error), "run solimon verify for details")]
     values = {"lost_sets": len(lost)}
     if not lost:
         return [Check("folder", name, "ok", "every set that has rows is there", values=values)]
     sentences = "; ".join(f"{file} {reason}" for file, reason in list(lost.items())[:MOST_SHOWN])
     rest = f"; and {len(lost) - MOST_SHOWN} more" if len(lost) > MOST_SHOWN else ""
-    remedy = "bring them back with solimon repair --from BACKUP; solimon verify looks at everything"
+    remedy = "restore them with solimon repair --from BACKUP; solimon verify checks everything"
     return [Check("folder", name, "fail", f"{sentences}{rest}", remedy, values)]
 
 

@@ -143,7 +143,7 @@ def _take_shot(
             )
     except InstrumentError as error:
         failed_check = build_error_check(
-            f"strike {position}: record", error, "mend what failed above, then strike"
+            f"strike {position}: record", error, "correct what failed above, then strike"
         )
         return Trial(position=position, checks=(failed_check,))
     took_s = time.monotonic() - started_s

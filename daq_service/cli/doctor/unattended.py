@@ -107,7 +107,7 @@ def _is_windows_sleep_disabled(ask: Ask) -> bool | None:
 def _check_updates(ask: Ask, system: str) -> Check:
     """Check that updates do not restart the computer and no restart is pending; warn if so, or if unknown."""
     waits, restarts, source = None, None, f"not asked on {system}"
-    remedy = "let updates restart this computer only when a person says so"
+    remedy = "let updates restart this computer only after a person confirms"
     if system == "linux":
         waits, restarts, source = _read_linux_updates(ask)
         remedy = f'set {REBOOT} "false"; in /etc/apt/apt.conf.d, or stop the timers of your updater'
@@ -115,7 +115,7 @@ def _check_updates(ask: Ask, system: str) -> Check:
         waits, restarts, source = _read_windows_updates(ask)
         remedy = "in gpedit.msc set Configure Automatic Updates to 2 (notify), or pause updates for the test"
     if waits:
-        remedy = f"restart it before the test begins; then {remedy}"
+        remedy = f"restart it before the test starts; then {remedy}"
     texts = {True: "restart", False: "do not restart", None: "may restart (unknown)"}
     waiting = "; one that is installed waits for a restart" if waits else ""
     found = f"updates {texts[restarts]} this computer by themselves ({source}){waiting}"
@@ -190,6 +190,6 @@ def _read_defender_exclusion(folder: Path, ask: Ask) -> tuple[bool | None, str]:
     if on == "False":
         return True, "Windows Defender is off"
     if any(line.startswith("N/A") for line in excepted):
-        return None, "Windows Defender; its exceptions are unknown: it tells them to administrators alone"
+        return None, "Windows Defender; its exceptions are unknown: only administrators can read them"
     covered = any(PureWindowsPath(folder).is_relative_to(PureWindowsPath(line)) for line in excepted if line)
     return covered, f"Windows Defender; {folder} is {'an exception' if covered else 'no exception'}"

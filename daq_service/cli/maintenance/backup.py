@@ -101,7 +101,7 @@ def back_up(
     """
     source, target = folder.resolve(), destination.resolve()
     if source == target or source in target.parents or target in source.parents:
-        raise StorageError(f"{destination} and {folder} lie within each other; choose another destination")
+        raise StorageError(f"{destination} and {folder} contain each other; choose another destination")
     with UnchangedCatalogue(folder) as catalogue:
         copied, snapshot = Copied(), destination / f"{FILE_NAME}{TEMPORARY_SUFFIX}"
         try:
@@ -125,8 +125,8 @@ def back_up(
         except OSError as error:
             remove_quietly(snapshot)
             raise StorageUnavailableError(
-                f"the backup is not whole: {error}; what is copied stays, and the one before it still opens: "
-                "free or mend the disk"
+                f"the backup is not complete: {error}; what is copied stays; the backup before it is valid: "
+                "free disk space, or repair the disk"
             ) from error
     return copied
 
@@ -139,7 +139,7 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
     be written.
     """
     if experiment is None:
-        raise StorageError("the test has not begun; there is nothing to copy")
+        raise StorageError("the test has not started; there is nothing to copy")
     experiment = to_current_row("experiment", experiment)
     identity = {name: experiment[name] for name in NAMED_BY}
     destination.mkdir(parents=True, exist_ok=True)
@@ -160,7 +160,7 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
         )
     if (destination / LOCK_FILE).exists():
         raise StorageError(
-            f"a recorder went on in {destination}, which is no copy since; choose another folder"
+            f"a recorder continued the test in {destination}, so it is not a backup; choose another folder"
         )
     for name in (SETS_FOLDER, JOURNAL_FOLDER):
         (destination / name).mkdir(exist_ok=True)

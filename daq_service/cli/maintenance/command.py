@@ -75,7 +75,7 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
                 try:
                     execute_repair_step(data_dir, step, backup)
                 except OSError as error:
-                    raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
+                    raise StorageError(f"{step.file}: {error}; repair the disk and start again") from error
             report = verify_folder(data_dir, _create_progress_printer("files"))
     damage = [asdict(item) for item in report.damage]
     lines = [f"{step.does:<13} {step.file}: {step.reason}" for step in steps]

@@ -170,7 +170,7 @@ def refuse_unsafe_target(folder: Path, target: Path, *, overwrite: bool) -> None
         raise UsageError(f"the folder {target.parent} is not there; make it, or choose another file")
     absolute, test_folder = target.absolute().parent.resolve() / target.name, folder.resolve()
     if absolute.is_relative_to(test_folder) and absolute.relative_to(test_folder).parts[0] in OWN_NAMES:
-        raise UsageError(f"{target} lies among the test's own files; choose a place beside them")
+        raise UsageError(f"{target} lies among the test's own files; choose a place outside the data folder")
     if target.exists() and not (overwrite and target.is_file()):
         raise UsageError(f"{target} exists; choose another file, or replace it with --overwrite")
 

@@ -90,7 +90,7 @@ def _plan_file_repair(
         objection = _find_backup_objection(backup, file, rows)
         if not objection:
             return Step(
-                does="from_backup", file=file, reason=f"{backup / file} is whole and agrees with the rows"
+                does="from_backup", file=file, reason=f"{backup / file} is complete and agrees with the rows"
             )
         return Step(does="nothing", file=file, reason=f"the backup does not help: {objection}")
     if rows is not None and not rows.sets:
@@ -126,7 +126,7 @@ def _find_backup_objection(backup: Path, file: SetReference, rows: RowsOfSet | N
     if not (backup / file).is_file():
         return f"{backup / file} is not there"
     if rows is None:
-        return "there are no rows to compare it with; mend the catalogue first"
+        return "there are no rows to compare it with; repair the catalogue first"
     found = check_set_file(backup / file, sha256=find_stored_sha256(rows.sets, file))
     if found.touched or found.damages or found.record is None:
         return f"{backup / file} is damaged, too"

@@ -93,7 +93,7 @@ MOST_BEHIND_S = 60.0
 NOWHERE = "rows point at it, but it is neither a file nor in the journal"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS: Mapping[DamageKind, tuple[str, str]] = {
-    "audit": (AUDIT_FILE, "nothing else knows who did what: keep it, and look at a backup"),
+    "audit": (AUDIT_FILE, "no other file has these entries: keep it, and check a backup"),
     "notifications": (
         LOG_FILE,
         "only the receivers know what was sent now, and a message may be repeated: keep it",
@@ -339,9 +339,7 @@ def _compare_with_rows(
     """
     named, due_s = parse_set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
     if (named, parse_due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):
-        description = (
-            f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
-        )
+        description = f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: it was renamed"
         yield Finding("metadata", reference, f"{description}; {BACK}")
         return
     if rows is None or state.experiment is None:
@@ -448,7 +446,7 @@ def _list_notes(state: FolderCheck) -> list[str]:
     if foreign:
         notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(foreign)}")
     if quarantined:
-        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what nobody needs")
+        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what is not needed")
     if caches := sorted(name for name in CACHES if (state.folder / name).exists()):
         notes.append(f"caches, not checked and safe to delete: {', '.join(caches)}")
     return notes

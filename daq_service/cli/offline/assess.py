@@ -107,7 +107,7 @@ def run_assess(
         Invalid options, at once; a missing file or column, after the other results are printed.
     """
     if (baseline_rows is None) == (baseline_where is None):
-        raise UsageError("say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
+        raise UsageError("give the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
     where = None
     if baseline_where is not None:
         column, equals, value = baseline_where.partition("=")
@@ -208,7 +208,7 @@ def assess_one_table(path: Path, *, read: Read, budget: Budget, with_rows: bool)
         return answer
     not_assessed, rows = None, len(table.vectors)
     if table.in_baseline[-1]:
-        not_assessed = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
+        not_assessed = f"the last of {rows} rows is baseline: no row is assessed; give a smaller baseline"
         click.echo(f"{path}: {not_assessed}", err=True)
     return replace(
         answer,
@@ -267,15 +267,15 @@ def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
     for anomaly in answer.named:
         rows, kind = anomaly["rows"], anomaly["kind"]
         row_text = f"{rows[0]} to {rows[-1]}" if kind == "trend" else ", ".join(map(str, rows))
-        lines.append(f"  look at    {kind}, rows {row_text}")
+        lines.append(f"  inspect    {kind}, rows {row_text}")
     for name, limit in answer.limits.items():
         first = answer.first[name]
         since = "" if first is None else f", first row {first}"
         caveat = f"; {LIMITS[name].caveat}" if LIMITS[name].caveat else ""
-        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {answer.count[name]}{since}{caveat}")
+        lines.append(f"  {name:<15} limit {limit:9.2f}  above {answer.count[name]}{since}{caveat}")
     lines.append(f"  default    {answer.default_because}")
-    promise = f"{budget:g} false alarms a year at {sets_per_day:g} sets a day"
-    rate_text = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"
+    promise = f"{budget:g} false alarms per year at {sets_per_day:g} sets per day"
+    rate_text = promise if alarm["rate_guaranteed"] else f"{promise} not verified: {alarm['why']}"
     raised = ", ".join(map(str, alarm["rows"][:10])) + (" ..." if len(alarm["rows"]) > 10 else "")
     lines.append(f"  alarms     {f'at rows {raised}' if alarm['rows'] else 'none'} ({rate_text})")
     return "\n".join(lines)

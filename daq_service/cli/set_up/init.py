@@ -114,7 +114,7 @@ def _parse_value_like(text: str, *, like: object) -> object:
     try:
         return tomlkit.value(text).unwrap()
     except TOMLKitError as error:
-        raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
+        raise UsageError(f"--set: {text} is not a TOML value: {error}; write one like {like}") from error
 
 
 def _find_table(values: Tables, name: str) -> KeyPath:

@@ -77,7 +77,7 @@ class Notifications:
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
         self.queues = self._create_queues()
-        self.silent_reason = "the service has not begun" if self.queues else NO_RECEIVERS
+        self.silent_reason = "the service has not started" if self.queues else NO_RECEIVERS
 
     def start(self) -> None:
         """Start the thread that sends whenever no other process of this test does; return at once.
@@ -88,7 +88,7 @@ class Notifications:
             if self.queues or self._watch:
                 self._start_thread(self._send_while_owner, "notifications")
         elif self.queues:
-            self.silent_reason = "this is a backup; the test's own folder tells"
+            self.silent_reason = "this is a backup; only the test's own folder sends"
 
     def close(self) -> None:
         """Request the end of sending without waiting.

@@ -116,7 +116,7 @@ class Source:
         except NoDataYetError:
             return {
                 "recorder": "not_started",
-                "doing": "no test has begun",
+                "doing": "no test has started",
                 "last_set_age_h": None,
                 "last_write_age_s": None,
             }

@@ -160,7 +160,7 @@ def _describe_unknown_alarm(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
 def _find_no_records_reason(alarm: AlarmRow) -> str:
     """Return why an alarm does not follow from the records of a position, as a text; empty if it does."""
     if alarm.position is None:
-        return "it is about the test as a whole, not about the records of a position"
+        return "it is about the complete test, not about the waveforms of a position"
     if alarm.raised_set_index is None:
         return "no set raised it, but a person's command or an instrument"
     return ""
@@ -229,7 +229,7 @@ def _raise_if_other_extractor(stored: Catalogue, method: Method, position: str, 
         raise UsageError(
             f"the results at {position} are of the extractor {' and '.join(others)}, this version of solimon "
             f"has {EXTRACTORS[kind]}: their numbers are different quantities. Explain the alarm with solimon "
-            f"{stored.read_experiment().solimon_version}, which began the test, or judge the test by this "
+            f"{stored.read_experiment().solimon_version}, which started the test, or judge the test by this "
             "version with solimon replay --extract"
         )
 

@@ -51,7 +51,7 @@ def parse_assignments(texts: Sequence[str]) -> dict[KeyPath, Any]:
             raise UsageError(f"--set {text}: write KEY=VALUE, for example alarms.decides_by=chart")
         if len(path) < 2 or path[0] not in ASSESSMENT_KEYS or path[1] not in _list_key_names(path[0]):
             raise UsageError(
-                f"--set {'.'.join(path)}: this key is not known, or does not say how records are judged; "
+                f"--set {'.'.join(path)}: this key is unknown, or does not affect the assessment; "
                 f"these do: {', '.join(list_assessment_keys())}"
             )
         if path in found:

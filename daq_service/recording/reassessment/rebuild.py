@@ -99,7 +99,9 @@ def rebuild_folder_catalogue(
     experiment = find_stored_experiment(folder, history, archive)
     if kept.experiment is not None:
         if experiment is not None:
-            raise_if_other_record(kept.experiment, experiment, "its catalogue", "what lies beside it", folder)
+            raise_if_other_record(
+                kept.experiment, experiment, "its catalogue", "other files in its folder", folder
+            )
         experiment = kept.experiment
     if experiment is None:
         raise NoDataYetError(
@@ -126,7 +128,7 @@ def rebuild_folder_catalogue(
         name = _replace_catalogue(folder, place)
     except OSError as error:
         raise CatalogueWriteError(
-            f"{folder}: the catalogue cannot be made again: {error}; free or mend the disk"
+            f"{folder}: the catalogue cannot be rebuilt: {error}; free disk space, or repair the disk"
         ) from error
     finally:
         shutil.rmtree(place, ignore_errors=True)

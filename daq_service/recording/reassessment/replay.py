@@ -163,7 +163,7 @@ def _describe_unassessed(position: str, recomputed: Catalogue, settings: Setting
         first_set_index=sets.first_set,
         last_set_index=sets.last_set,
         last_set=last_set,
-        description=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes "
+        description=f"no set is assessed at {position}: baseline.hours = {settings.baseline.hours:g} makes "
         f"the sets {sets.first_set} to {sets.last_set} the baseline, and the last one there is set "
         f"{last_set}; give fewer hours",
     )

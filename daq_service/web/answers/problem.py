@@ -222,7 +222,7 @@ def install_error_handlers(app: FastAPI) -> None:
         log.error("request %s %s failed: %r", read_request_id(request.scope), request.url.path, error)
         problem = Problem(
             "internal-error",
-            f"{type(error).__name__} while answering; the cause stands in the log.",
+            f"{type(error).__name__} while answering; the log has the cause.",
             f"Look for request {read_request_id(request.scope)} in logs/web.log and report it.",
         )
         return build_problem_response(request.scope, problem)

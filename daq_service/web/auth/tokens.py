@@ -80,10 +80,12 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
     except FileNotFoundError:
         return ()
     except OSError as error:
-        raise StorageUnavailableError(f"{path} cannot be read: {error.strerror}; mend its rights") from error
+        raise StorageUnavailableError(
+            f"{path} cannot be read: {error.strerror}; correct its permissions"
+        ) from error
     except ValidationError as error:
         raise StorageError(
-            f"{path} is no file of access tokens; bring it back from a copy, or remove it and make new ones "
+            f"{path} is not a file of access tokens; restore it from a copy, or remove it and make new ones "
             "with `solimon token create`"
         ) from error
 
@@ -106,7 +108,7 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
         The file cannot be read or written.
     """
     if not _NAME.fullmatch(name):
-        raise UsageError(f"{name[:60]!r} is no name of a token; use up to 40 letters, digits and . _ @ -")
+        raise UsageError(f"{name[:60]!r} is not a valid token name; use up to 40 letters, digits and . _ @ -")
     text, now_ns = secrets.token_urlsafe(32), time.time_ns()
     expires = None if days is None else format_utc(now_ns + round(days * _S_PER_DAY) * NS_PER_S, 0)
     token = Token(
@@ -157,7 +159,7 @@ def _edit_tokens(path: Path) -> Iterator[list[Token]]:
             write_durably(path, content, temporary=path.with_suffix(".new"), mode=OWNER_ONLY)
     except OSError as error:
         raise StorageUnavailableError(
-            f"{path} cannot be written: {error.strerror}; nothing has changed; mend its folder"
+            f"{path} cannot be written: {error.strerror}; nothing has changed; repair its folder"
         ) from error
 
 
@@ -218,13 +220,13 @@ class KnownTokens:
         try:
             self._tokens = read_tokens(self._path)
         except StorageError as error:
-            log.error("nobody is let in: %s", error)
+            log.error("no login is possible: %s", error)
             self._tokens, self._asked_for = (), True
         was_asked_for = self._asked_for
         # The first token created the lock: after a restart, a lost tokens file still denies access.
         self._asked_for = was_asked_for or bool(self._tokens) or self._path.with_suffix(".lock").exists()
         if self._asked_for and not was_asked_for and not self._tokens:
-            log.error("nobody is let in: %s is gone; bring it back, or make new tokens", self._path)
+            log.error("no login is possible: %s is gone; bring it back, or make new tokens", self._path)
         self._mark = mark
 
 

@@ -61,7 +61,7 @@ def get_readiness(request: Request) -> JsonAnswer:
         raise Problem(
             "no-data-yet",
             f"None of {len(entries)} tests can be shown.",
-            "/api/v1/tests says why of each, and what helps.",
+            "/api/v1/tests has the reason and remedy of each.",
         )
     return JsonAnswer(_build_health_body(request))
 

@@ -58,7 +58,7 @@ async def stream_events(
     """
     selected = _parse_topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
-        raise Problem("too-many-streams", f"{MOST_CLIENTS} streams are open, and no more are served.")
+        raise Problem("too-many-streams", f"{MOST_CLIENTS} streams are open, which is the maximum.")
     start_after = after if last_event_id in (None, "") else _parse_event_id(last_event_id or "")
     if start_after is None and context.hub.complete_after is not None:
         # Now, before the client is connected: all later events are new to it.

@@ -176,7 +176,7 @@ def run_unless_busy(make: Callable[[], bytes]) -> bytes:
     if not _making.acquire(blocking=False):
         raise Problem(
             "too-many-exports",
-            f"{AT_ONCE} files that hold all their rows are being made, and no more at once.",
+            f"{AT_ONCE} files that hold all their rows are being made, which is the maximum.",
         )
     try:
         return make()

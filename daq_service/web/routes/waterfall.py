@@ -220,7 +220,7 @@ def _list_baseline_sets(context: Context, catalogue: Catalogue, position: str) -
     if not set_indices:
         raise not_found(
             f"Position {position} has no baseline yet.",
-            "Ask for volts; /api/v1/trends tells when it is recorded.",
+            "Ask for volts; /api/v1/trends shows when it is recorded.",
         )
     return set_indices
 

@@ -53,7 +53,7 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
         content = read_shared(path)
     except FileNotFoundError:
         raise not_found(
-            f"Position {position} has no live picture yet.", "The recorder writes one with its next record."
+            f"Position {position} has no live waveform yet.", "The recorder writes one with its next record."
         ) from None
     except OSError as error:
         raise create_unreadable_figure(str(error)) from None
@@ -235,7 +235,7 @@ async def live_waveforms(
                     sent_s = time.monotonic()
                     await websocket.send_json({"interval_s": beat_s})
         if not left.done():
-            await websocket.close(code=1001, reason="the service ends, or the token opens no more")
+            await websocket.close(code=1001, reason="the service ends, or the token is no longer valid")
     except WebSocketDisconnect:
         return
     finally:

@@ -47,7 +47,7 @@ class TableKind:
 
 
 TABLES: Mapping[str, TableKind] = {
-    "sets": TableKind(rows.SetRow, "Planned sets and what became of them", unscheduled_set=True),
+    "sets": TableKind(rows.SetRow, "Scheduled sets and their results", unscheduled_set=True),
     "features": TableKind(rows.FeatureRow, "Features of sets", {"scope": "set"}, unscheduled_set=True),
     "shot_features": TableKind(
         rows.FeatureRow, "Features of single shots", {"scope": "shot"}, unscheduled_set=True
@@ -84,8 +84,7 @@ class Choice:
         if self.purpose != "planned" and not TABLES[self.table].unscheduled_set:
             other_tables = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
             raise UsageError(
-                f"the table {self.table} has no sets beside the plan, {other_tables} have; leave the purpose "
-                "out"
+                f"the table {self.table} has no unscheduled sets, {other_tables} have; leave the purpose out"
             )
         if self.from_h is not None and self.to_h is not None and self.to_h < self.from_h:
             raise UsageError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")

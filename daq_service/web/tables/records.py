@@ -111,7 +111,9 @@ def read_record_slice(
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **filters)
     sets = {row.set_index: row for row in rows if row.file is not None}
     if not sets:
-        raise NoRecordError(f"no record of position {choice.position} is stored in these sets; look at sets")
+        raise NoRecordError(
+            f"no record of position {choice.position} is stored in these sets; see the table sets"
+        )
     if len(rows) > MOST_SETS:
         raise UsageError(f"these are more than {MOST_SETS} sets; choose a shorter range")
     n_records = sum(row.n_taken for row in sets.values())
@@ -120,7 +122,7 @@ def read_record_slice(
     read_first = next(waveforms, None)
     if read_first is None:
         raise NoRecordError(
-            f"no record of position {choice.position} in these sets can be read; solimon verify tells why"
+            f"no record of position {choice.position} can be read in these sets; see solimon verify"
         )
     _, first = read_first
     if (n_bytes := n_records * first.counts.size * BYTES_A_SAMPLE) > most_bytes:

@@ -55,7 +55,7 @@ def describe_replay(found: Replayed) -> Iterable[str]:
     """
     source = "from the waveforms" if found.extracted else "as stored"
     settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
-    yield f"{found.experiment}: {found.sets} sets judged again with {settings_text or 'the same settings'}"
+    yield f"{found.experiment}: {found.sets} sets reassessed with {settings_text or 'the same settings'}"
     yield f"features {source}, extractor {found.extractor_version}"
     alarms = found.alarms
     for one in alarms.moved:
@@ -75,7 +75,7 @@ def describe_replay(found: Replayed) -> Iterable[str]:
     for position in found.not_assessed:
         yield position.description
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
-        yield "nothing changes: every alarm, limit and verdict is what is stored"
+        yield "nothing changes: all alarms, limits and assessments are as stored"
 
 
 def _count_differing_sets(found: Iterable[Difference]) -> Iterable[str]:

@@ -18,7 +18,7 @@ from hardware_drivers.measurement import MissedShot, ShotKey, Waveform
 
 GOOD = ShotFeatures(flags=(), valid=True, quality="good")
 CLIPPED = ShotFeatures(flags=("clipped",), valid=False, quality="bad")
-STOPPED = "the recorder was told to stop"
+STOPPED = "the recorder was stopped"
 
 
 def key(position, shot_index, attempt=0):

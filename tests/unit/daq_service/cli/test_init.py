@@ -126,7 +126,7 @@ def test_only_a_toml_file_is_written(tmp_path):
         (["playback"], "--source names the recording"),
         (["playback", "--source", "nowhere"], "nowhere is not there"),
         (["twin", "--set", "schedule.shots_pr_set=5"], "did you mean schedule.shots_per_set?"),
-        (["twin", "--set", "schedule.shots_per_set=five"], "five is no TOML value"),
+        (["twin", "--set", "schedule.shots_per_set=five"], "five is not a TOML value"),
         (["twin", "--set", "schedule.shots_per_set=0"], "schedule.shots_per_set: Input should be greater"),
         (["rig", "--with", "rig.climat"], "did you mean rig.climate?"),
     ],

@@ -107,7 +107,7 @@ def test_a_disk_that_is_too_small_is_refused_before_the_first_set_only(tmp_path,
 
 def test_the_folder_of_another_test_is_refused(tmp_path):
     assert run(small_settings(schedule={"end_h": 0.5}), tmp_path / "data")
-    with pytest.raises(UsageError, match=r"data belongs to the experiment "):
+    with pytest.raises(UsageError, match=r"data belongs to the test "):
         check(tmp_path, "")
 
 

@@ -161,7 +161,7 @@ def test_a_closed_terminal_ends_no_test(monkeypatch, caplog):
     log = Log()
     with caplog.at_level(logging.DEBUG), log.report:
         log.progress(0.0, 1)
-    assert "nobody reads 'hour 0.5, set 1 of 100'" in caplog.text
+    assert "no reader for 'hour 0.5, set 1 of 100'" in caplog.text
 
 
 class HeldTerminal(io.StringIO):

@@ -141,7 +141,7 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
     again = bench.execute("approve_baseline", position="B")
     assert again == ("rejected", "the baseline of B is approved: there is nothing to sign")
     result = (
-        "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and nothing is judged at B till then"
+        "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and no set is assessed at B till then"
     )
     assert bench.execute("renew_baseline", position="B", note=" coupled anew ") == ("done", result)
     assert baselines(bench) == [("B-baseline-1", "retired", 0, 47), ("B-baseline-2", "collecting", 10, 57)]
@@ -154,7 +154,7 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
 
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench):
     state, answer = bench.execute("renew_baseline", position="B", note=" ")
-    assert (state, "say why the baseline is retired" in answer) == ("rejected", True)
+    assert (state, "state why the baseline is retired" in answer) == ("rejected", True)
     bench.next_set = 378
     state, answer = bench.execute("renew_baseline", position="B", note="a new sensor")
     expected = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
@@ -256,11 +256,11 @@ def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(ben
         bench.listener.execute_open_commands()
     assert bench.answer(started) == (
         "failed",
-        "the recorder ended while carrying it out; look before you give it again",
+        "the recorder ended while executing it; check the result before you send it again",
     )
     for order_id in (waiting, rows_only):
         state, message = bench.answer(order_id)
-        assert (state, "it was given before this recorder began" in message) == ("expired", True)
+        assert (state, "it was sent before this recorder started" in message) == ("expired", True)
     assert bench.listener.paused == "", "what it would have stored is not there"
     assert bench.switch.done == []
     assert bench.execute("supply_on") == ("done", "the supply is on")

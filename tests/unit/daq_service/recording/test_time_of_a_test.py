@@ -135,7 +135,7 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
     laboratory.machine.after(1.0 / 60.0, look)
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert waited[0].startswith("waiting for a set clock: the system's clock says 2010-01-01T00:0")
+    assert waited[0].startswith("waiting for a set clock: the computer clock is 2010-01-01T00:0")
     (alarm,) = laboratory.line.alarms()
     assert (alarm.kind, alarm.alarm_class, alarm.state) == (
         "clock_unverified",
@@ -160,7 +160,7 @@ def test_sets_missed_with_an_unverified_clock_have_that_cause(laboratory):
     assert_every_set_once_in_order(laboratory, missed=[4, 5, 6])
     causes = [row.reason for row in laboratory.line.rows("sets", "B")][4:7]
     assert causes[:2] == [DOWN] * 2
-    assert causes[2].startswith("the recorder waited for a set clock: the system's clock says 2010")
+    assert causes[2].startswith("the recorder waited for a set clock: the computer clock is 2010")
 
 
 def test_100_h_later_an_unsynchronised_clock_is_doubted_until_it_is_synchronised(laboratory):
@@ -263,6 +263,6 @@ def test_a_clock_step_within_a_set_moves_no_strike(laboratory):
 
 
 def test_a_test_does_not_begin_on_a_clock_that_was_never_set():
-    with pytest.raises(UsageError, match=r"the system's clock says 2010-01-01T00:00:00Z.*set it"):
+    with pytest.raises(UsageError, match=r"the computer clock is 2010-01-01T00:00:00Z.*set it"):
         compute_hour_0_ns(IN_2010_NS)
     assert compute_hour_0_ns(parse_utc(EARLIEST_UTC)) == parse_utc(EARLIEST_UTC)

@@ -79,7 +79,7 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path):
         ('[web]\nhost_names = ["Lab!"]', ["web.host_names", "Lab!", "pattern"]),
         ('[web]\ntls_key = "k.pem"', ["web", "web.tls_certificate and web.tls_key belong together"]),
         ('[web]\nhost_names = ["lab.org"]', ['web.host_names is ["lab.org"]', "set web.tls_certificate"]),
-        ('[web]\nhost = "0.0.0.0"\nproxy = "10.0.0.2"', ["web", "no name is given", "web.host_names"]),
+        ('[web]\nhost = "0.0.0.0"\nproxy = "10.0.0.2"', ["web", "no host name is given", "web.host_names"]),
         ("[alarms]\nk = 6", ["alarms", "k is 6", "n = 5"]),
         ("[baseline]\nminimum_valid_shots = 11", ["minimum_valid_shots is 11", "shots_per_set = 10"]),
         ('[clock]\nepoch = "2024-01-01T00:00:00"', ["clock.epoch", "UTC offset"]),

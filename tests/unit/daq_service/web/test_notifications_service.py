@@ -111,7 +111,7 @@ def test_a_backup_sends_no_notifications(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
         state = client.get(STATE).json()
         assert (state["sending"], state["receivers"][0]["began"]) == (False, "")
-        assert state["not_sending_reason"] == "this is a backup; the test's own folder tells"
+        assert state["not_sending_reason"] == "this is a backup; only the test's own folder sends"
     assert not (filled.folder / LOG_FILE).exists()
 
 

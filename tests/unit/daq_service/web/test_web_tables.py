@@ -256,7 +256,7 @@ def test_the_header_accept_chooses_the_format(api):
         (
             "alarms?purpose=any",
             422,
-            "no sets beside the plan, sets, features, shot_features, assessments have",
+            "no unscheduled sets, sets, features, shot_features, assessments have",
         ),
         ("features?from_h=2&to_h=1", 422, "to_h"),
         ("features?format=xlsx", 422, "csv"),

@@ -149,12 +149,12 @@ def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours,
     for item in not_assessed:
         position, last_set = item["position"], item["last_set"]
         assert item["description"] == (
-            f"nothing is judged at {position}: baseline.hours = {hours:g} makes the sets 0 to "
+            f"no set is assessed at {position}: baseline.hours = {hours:g} makes the sets 0 to "
             f"{item['last_set_index']} the baseline, and the last one there is set {last_set}; "
             "give fewer hours"
         )
     output = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
-    assert [text for text in output.splitlines() if "nothing is judged" in text] == [
+    assert [text for text in output.splitlines() if "no set is assessed" in text] == [
         item["description"] for item in not_assessed
     ]
 
@@ -174,7 +174,7 @@ def test_each_column_has_its_count_and_the_outliers_come_first(line):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("schedule.shots_per_set=5", "does not say how records are judged; these do: features.of_set"),
+        ("schedule.shots_per_set=5", "does not affect the assessment; these do: features.of_set"),
         ("quality.restrikes_per_set=0", "quality.no_data_sets, quality.retire_after_sets"),
         ("alarms.decide_by=chart", "alarms.decides_by"),
         ("alarms.k", "write KEY=VALUE"),
