@@ -10,7 +10,6 @@ import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import click
 import orjson
@@ -125,7 +124,6 @@ PARSERS = {
     "html": lambda text: HTMLParser().feed(text),
     "json": orjson.loads,
     "yaml": parse_yaml,
-    "html": ElementTree.fromstring,
     "sh": parse_shell,
     "console": parse_shell,
     "matlab": None,  # its names are compared with files (`test_docs_of_a_laboratory.py`)
