@@ -211,7 +211,7 @@ def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup
         add_field(detector, "offset", np.float64(offset))
 
 
-def _list_sensor_calibration(provenance: Mapping[str, Any], position: str) -> dict[str, Any]:
+def _list_sensor_calibration(provenance: Mapping[str, Any], position: str) -> dict[str, str | float]:
     """List the known values of a sensor's external calibration in the stored configuration, as attributes."""
     place = provenance.get("configuration", {}).get("positions", {}).get(position, {})
     calibration = place.get("calibration", {}).items()

@@ -379,7 +379,7 @@ def run_supply_process_alone(*, config: Path | None, data_dir: Path | None, for_
             notify_manager("WATCHDOG=1")
 
     if for_recorder:
-        assert data_dir is not None, "a recorder says which folder"
+        assert data_dir is not None, "a recorder gives its folder"
         settings, folder = Settings.model_validate_json(sys.stdin.buffer.read()), data_dir
     else:
         settings, folder = load_settings_and_folder(config, data_dir)

@@ -208,7 +208,7 @@ COMMANDS = {
     "how-to/assess-feature-tables.md": ["assess", "assess", "assess"],
     "how-to/back-up.md": ["backup", "verify"],
     "how-to/choose-a-baseline.md": ["check-config", "simulate", "approve-baseline", "renew-baseline"],
-    "how-to/export-data.md": ["export", "export"],
+    "how-to/export-data.md": ["export", "export", "export"],
     "how-to/extract-features.md": ["features", "features"],
     "how-to/matlab.md": ["export"],
     "how-to/reassess-a-test.md": ["replay", "replay", "replay"],

@@ -179,7 +179,7 @@ class Test:
         assert now is not None
         assert (now.state, now.last, now.watchdog_trip) == ("unknown", "off", True)
         description = describe_status(self.folder, Settings())["supply"]["description"]
-        assert "tripped: no recorder was heard" in description
+        assert "tripped: no recorder heartbeat" in description
 
 
 @pytest.fixture
@@ -212,7 +212,7 @@ def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(te
     with test.note_first_set(settings):
         found = until(lambda: test.alarms() if "supply_watchdog_trip" in test.alarms() else None, "the alarm")
         assert found["supply_watchdog_trip"].state == found["interlock_tripped"].state == "unacknowledged"
-        assert "no recorder was heard" in found["supply_watchdog_trip"].message
+        assert "No recorder heartbeat" in found["supply_watchdog_trip"].message
         assert test.switchings() == [True, False]
         test.order("supply_on")
         until(lambda: test.instruments.supply.on, "a person's order")

@@ -110,6 +110,8 @@ class StuckLine(AnsweringLine):
 
 def test_an_output_that_reads_back_as_on_is_never_reported_as_off():
     line = StuckLine()
-    with pytest.raises(ConnectionLostError, match=r"what its output does is unknown: .* says it is on"):
+    with pytest.raises(
+        ConnectionLostError, match=r"what its output does is unknown: .* reports that it is on"
+    ):
         supply_on(line).make_safe()
     assert line.sent == ["OUTP OFF", "OUTP OFF"]  # tried again

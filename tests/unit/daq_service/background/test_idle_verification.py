@@ -171,7 +171,7 @@ def test_corruption_raises_an_alarm_that_clears_after_the_repair(tmp_path):
     line.run(idle_check=first)
     assert (alarms(line), first.known) == ([("high", "unacknowledged")], {})
     (alarm,) = (row for row in line.rows("alarms") if row.kind == "data_corrupt")
-    assert alarm.message.startswith("sets/one.h5 is missing; solimon verify names all of it")
+    assert alarm.message.startswith("1 data file corrupt or missing. First: sets/one.h5: is missing (")
     payloads = [row.payload for row in line.rows("events") if row.kind == "data_corrupt"]
     assert payloads == [{"file": "sets/one.h5", "description": "is missing"}]
     assert set(first.free_s) == {-math.inf}, "simulated time has no idle hours"

@@ -7,6 +7,7 @@ from typing import Literal, get_args, get_origin
 import pytest
 
 from analysis.waves.features import ALL_FEATURE_NAMES
+from daq_service.alarms.evidence import build_alarm_columns
 from daq_service.catalogue import rows
 from daq_service.catalogue.tables import ROW_CRC32, TABLES, metadata
 from daq_service.catalogue.writer import build_event_payload
@@ -75,7 +76,7 @@ def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     if kind is rows.AssessmentRow:
         answer["quality"] = "good"
     if kind is rows.AlarmRow:
-        answer["evidence_sentences"] = ["Raised at hour 1.50 of the test."]
+        answer |= build_alarm_columns(row)
     if kind is rows.CommandRow:
         answer["expires_in_s"] = 1.0
     model = getattr(models, kind.__name__)

@@ -223,7 +223,7 @@ def test_the_recorder_of_a_moved_folder_is_silent(folder):
     health = json.loads(bytes(get_health(context).body))["recorder"]
     context.catalogue_access.close()
     assert health["state"] == "not_responding"
-    assert f"{folder} is gone" in health["description"]
+    assert f"{folder} is missing" in health["description"]
     assert "keeps what it takes in memory" in health["description"]
     assert read_recorder_state(folder, []).status == "not_started", (
         "of a test that has not begun there is no folder"

@@ -152,7 +152,7 @@ def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(make_bench, tmp
     bench.restarted()
     assert bench.run(60.0) == []
     assert bench.line.state.began == (
-        "begins at the present, behind event 1: these notifications are new to the test; "
+        "starts at the present, after event 1: these notifications are new to the test; "
         "1 alarms that are already active are not sent"
     )
     bench.alarms.change("no_reflection")
@@ -244,7 +244,7 @@ def test_a_cursor_of_another_catalogue_starts_at_the_present_with_a_note(make_be
     bench.alarms.catalogue.close()
     ahead = Bench(bench.folder, bench.settings)  # a new catalogue under the same log
     ahead.run()
-    assert "the catalogue does not have event 1 as configured" in ahead.line.state.began
+    assert "the catalogue does not have event 1 as it was reported" in ahead.line.state.began
     ahead.mono_s += 7.0  # its event 1 is written at another time
     ahead.alarms.change("no_reflection")
     assert [changes(message) for message in ahead.run()] == [[("no_reflection", "raised")]]

@@ -55,7 +55,7 @@ def events_of(message):
 
 def test_an_alarm_is_sent_with_its_quality_and_the_api_lists_the_delivery(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        assert "begins at the present" in wait_for_start(client)
+        assert "starts at the present" in wait_for_start(client)
         event_id = raise_alarm(filled, "wall_change")
         message = receiver.next().message
         assert (events_of(message), message["alarms"][0]["quality"]) == ([event_id], "good")

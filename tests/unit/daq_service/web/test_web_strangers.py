@@ -10,6 +10,7 @@ from support.served_web import served
 from support.waiting import until
 
 from daq_service.commands.registry import KINDS
+from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web import bounded_http, server
@@ -177,7 +178,7 @@ def test_a_lost_token_file_rejects_all_after_a_restart(tmp_path, caplog):
 
 def test_revoking_without_tokens_does_not_require_tokens(tmp_path):
     path = tmp_path / "tokens.json"
-    with pytest.raises(server.UsageError, match="no token 'ann'"):
+    with pytest.raises(UsageError, match="no token 'ann'"):
         revoke_token(path, "ann")
     assert not KnownTokens(path).asked_for
 

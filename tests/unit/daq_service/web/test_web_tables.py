@@ -75,7 +75,7 @@ def listed(api, table, **query):
     nested = (dict, list)
     return [
         {
-            name: json.dumps(value) if isinstance(value, nested) else value
+            name: json.dumps(value, ensure_ascii=False) if isinstance(value, nested) else value
             for name, value in add_nested(TABLES[table].row, row).items()
             if name != "age_h"
         }
