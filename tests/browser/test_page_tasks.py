@@ -144,7 +144,7 @@ def is_the_most_urgent_alarm_with_its_hour(page, api, filled):
 
 def are_the_probabilities_of_all_diagnoses(page, api, filled):
     dialog = page.get_by_role("dialog")
-    expect(dialog).to_contain_text("WALL 97 %, SENSOR 2 %, COUPLING 0 %")
+    expect(dialog).to_contain_text("WALL 97 %, SENSOR 2 %, COUPLING < 1 %")
 
 
 def is_the_thickness_with_its_interval(page, api, filled):

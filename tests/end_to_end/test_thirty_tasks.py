@@ -34,12 +34,11 @@ OF_A_ROLE = 10
 N_SETS, SHOTS = 52, 2
 ENVIRONMENT = {
     "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
-    "SOLIMON_SCHEDULE__END_H": "0.5",
     "SOLIMON_SCHEDULE__SHOTS_PER_SET": str(SHOTS),
     "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "2",
     "SOLIMON_ALARMS__HOLE_SHOTS": "2",
 }
-"""A coarse mesh, one short set."""
+"""A coarse mesh, short sets."""
 
 
 def read_tasks(path):
@@ -47,7 +46,6 @@ def read_tasks(path):
 
 
 TASKS = read_tasks("tests/end_to_end/thirty_tasks.toml")
-WAITING = [task for task in TASKS if "waits_for" in task]
 ON_THE_PAGE = [task for task in read_tasks("tests/browser/page_tasks.toml") if "role" in task]
 
 
@@ -122,7 +120,7 @@ def is_commented_and_accepted(got, desk):
 def is_a_strike_without_flags(got, desk):
     assert "0 fail, 0 warn" in got.last.stdout
     (flags,) = re.findall(r"^ +flags +(.*)$", got.last.stdout, flags=re.MULTILINE)
-    assert flags == "[]"
+    assert flags == "()"
 
 
 def are_the_waveforms_of_the_newest_set(got, desk):
@@ -251,8 +249,13 @@ def test_a_named_test_takes_the_counted_steps(task):
     assert 1 <= len(task["steps"]) <= MOST_STEPS
     steps, options = steps_of(*task["test"].split("::"))
     if "page" in task:
-        text = (ROOT / task["page"]).read_text(encoding="utf-8")
-        assert all(step in text for step in task["steps"])
+        page, test = (
+            (ROOT / path).read_text("utf-8") for path in (task["page"], task["test"].split("::")[0])
+        )
+        for step, used in zip(task["steps"], task["uses"], strict=True):
+            assert step in page
+            assert used in step
+            assert used in test
         return
     assert steps == [re.sub(r"^solimon (\S+).*", r"\1", step) for step in task["steps"]]
     assert {word for step in task["steps"] for word in step.split() if word.startswith("--")} <= options
