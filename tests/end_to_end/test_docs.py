@@ -7,6 +7,7 @@ import shlex
 import textwrap
 import time
 import tomllib
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +121,7 @@ def parse_yaml(text):
 PARSERS = {
     "python": lambda text: compile(text, "block", "exec"),
     "toml": tomllib.loads,
-    "html": ElementTree.fromstring,
+    "html": lambda text: HTMLParser().feed(text),
     "json": orjson.loads,
     "yaml": parse_yaml,
     "sh": parse_shell,
