@@ -106,7 +106,7 @@ class DiskWatch(BackgroundTask):
         except FileNotFoundError:
             pass
         except OSError as error:
-            log.warning("the reserve %s cannot be looked at: %s", self._path, error)
+            log.warning("the reserve %s cannot be read: %s", self._path, error)
             return
         try:
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY, 0o644)

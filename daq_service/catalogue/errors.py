@@ -91,6 +91,6 @@ def translate_driver_error(path: Path, action: str, error: BaseException | None)
         return CatalogueWriteError(f"{message}; give this user the right to write the folder")
     if code == sqlite3.SQLITE_CONSTRAINT:
         return CatalogueConflictError(
-            f"{message}; nothing of it was stored: such a row exists, or lacks what it belongs to"
+            f"{message}; nothing was stored: such a row exists, or lacks what it belongs to"
         )
     return CatalogueError(message)

@@ -62,11 +62,11 @@ def raise_if_other_configuration(
         lines = [*list_settings_differences(row.configuration, settings), *lines]
     if lines:
         raise OtherExperimentError(
-            f"{folder} belongs to the experiment {row.name!r} with configuration "
+            f"{folder} belongs to the test {row.name!r} with configuration "
             f"{row.configuration_hash}, not to configuration {own_hash}:\n"
             + "\n".join(f"  {line}" for line in lines)
-            + "\nGo on with the configuration that began it (where a default, an extractor or the twin has "
-            f"changed, with solimon {row.solimon_version}), or choose another folder with --data-dir."
+            + "\nContinue with the configuration that started it (where a default, an extractor or the twin "
+            f"has changed, with solimon {row.solimon_version}), or choose another folder with --data-dir."
         )
 
 
@@ -87,7 +87,7 @@ def _describe_version_changes(connection: Connection, *, on_twin: bool) -> list[
     if on_twin:
         used["physics of the twin"] = (_read_twin_version(connection), TWIN_VERSION)
     return [
-        f"{name}: began with {began}, is {now} now"
+        f"{name}: started with {began}, is {now} now"
         for name, (began, now) in used.items()
         if began not in (None, now)
     ]

@@ -276,7 +276,7 @@ class Catalogue:
         """
         if unknown := set(names) - set(kind.__slots__):
             of_table = f"{TABLES[kind].name!r}; it has {sorted(kind.__slots__)}"
-            raise CatalogueError(f"{sorted(unknown)} are no columns of {of_table}")
+            raise CatalogueError(f"{sorted(unknown)} are not columns of {of_table}")
         if not names:
             return {}
         # Complete rows: only these can be compared with their checksums.

@@ -320,7 +320,7 @@ class AnnotationRow(Row):
     """A person's note for an hour or a range of hours; it is withdrawn, never deleted."""
 
     id: int | None = None
-    position: Annotated[str | None, "null: the whole test"] = None
+    position: Annotated[str | None, "null: the complete test"] = None
     from_h: float
     to_h: Annotated[float, "The same as `from_h`: an instant"]
     text: str

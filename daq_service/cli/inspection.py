@@ -62,8 +62,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
 def find_obstacles(settings: Settings, folder: Path, facts: Mapping[str, Any]) -> Iterator[str]:
     """Yield why the test would not run or assess nothing, each with value, limit and remedy.
 
-    Opens recordings and builds the twin's models, but no other instrument. Writes nothing; a port in use is
-    not found.
+    Opens recordings, but no other instrument. Writes nothing; a port in use is not found.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ def find_obstacles(settings: Settings, folder: Path, facts: Mapping[str, Any]) -
             "Free disk space, or choose another --data-dir."
         )
     for check in (
-        partial(_open_without_instruments, settings),
+        partial(_open_recordings, settings),
         partial(check_owner, settings, folder),
         partial(refuse_unprotected_service, settings.web, folder),
     ):
@@ -101,25 +100,13 @@ def find_obstacles(settings: Settings, folder: Path, facts: Mapping[str, Any]) -
             yield str(error)
 
 
-def _open_without_instruments(settings: Settings) -> None:
-    """Open each recording and build the models of the twin, if the test uses them.
-
-    Raises UsageError if one cannot be used as configured.
-    """
+def _open_recordings(settings: Settings) -> None:
+    """Open each recording and close it; raise UsageError if one, or the twin, cannot be used here."""
     twin.require_twin(settings)
     for item in list_instruments(settings):
-        opening = build_opening(item, settings, WallClock())
         if item.kind is playback.KIND:
-            with item.kind.open(item.parameters, opening):
+            with item.kind.open(item.parameters, build_opening(item, settings, WallClock())):
                 pass
-        elif item.kind is twin.KIND:
-            from simulator.errors import SimulatorError
-
-            served = {name: settings.positions[name] for name in opening.positions}
-            try:
-                twin.build_transducers(settings.model_copy(update={"positions": served}))
-            except SimulatorError as error:
-                raise UsageError(f"the twin cannot be built as configured: {error}") from error
 
 
 def _print_plan(settings: Settings, facts: Mapping[str, Any]) -> None:

@@ -66,7 +66,7 @@ log = logging.getLogger(__name__)
 
 SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 """Warning about locks of a killed recorder's worker, which Python removes itself."""
-STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
+STOPPED = "the recorder is stopped and strikes no transducer; start it with the same folder to continue"
 
 
 def run_as_child(carry_out: Callable[..., int]) -> Callable[..., int]:

@@ -53,7 +53,7 @@ def read_waveforms(
                     }
                 )
     if not shots:
-        raise ClientError(f"no record of position {position} is stored in these sets; look at sets()")
+        raise ClientError(f"no record of position {position} is stored in these sets; see sets()")
     volts, times = [], []
     for shot in shots:
         path = f"waveforms/{position}/{shot['set']}/{shot['shot_index']}"

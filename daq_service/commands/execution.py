@@ -29,7 +29,7 @@ Answer = tuple[CommandState, str]
 
 FAILED: Answer = (
     "failed",
-    "the recorder ended while carrying it out; look before you give it again",
+    "the recorder ended while executing it; check the result before you send it again",
 )
 HARMLESS_TWICE = ("stop", "supply_off")
 """Commands that are executed even if the disk cannot store the mark before."""
@@ -75,7 +75,7 @@ class CommandExecutor:
         After a call that succeeded, later calls do nothing.
         """
         if not self._has_started:
-            self.close("it was given before this recorder began")
+            self.close("it was sent before this recorder started")
             self._has_started = True
 
     def close(self, reason: str) -> None:

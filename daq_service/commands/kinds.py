@@ -129,7 +129,7 @@ class AnnotationArguments(Strict):
     from_h: Hour = Field(description="First hour")
     to_h: Hour | None = Field(default=None, description="Last hour; null: an instant")
     position: str | None = Field(
-        default=None, min_length=1, max_length=16, description="null: the whole test"
+        default=None, min_length=1, max_length=16, description="null: the complete test"
     )
     text: Annotated[
         str,
@@ -158,7 +158,7 @@ class ReasonArguments(Strict):
         str,
         Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
         AfterValidator(
-            partial(require_visible_text, message="say why the test is paused, such as 'hands in the rig'")
+            partial(require_visible_text, message="state why the test is paused, such as 'hands in the rig'")
         ),
     ]
 
@@ -204,7 +204,7 @@ class Command(Strict):
         ended = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
         if self.needs_recorder and (ended or not facts.recorded):
             return Refusal(
-                f"{ended or 'nobody records this test'}: nobody would carry this out",
+                f"{ended or 'no recorder runs for this test'}: no recorder would execute this",
                 "Start it with `solimon run` or `solimon record`, then send the command again.",
             )
         return self._find_refusal(facts)
@@ -385,7 +385,7 @@ class TrustClock(Command):
         if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
             return None
         return Refusal(
-            "nobody doubts the system's clock", "The alarm clock_unverified stands while it is doubted."
+            "the computer clock is verified", "The alarm clock_unverified is active while it is not."
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
@@ -507,7 +507,7 @@ class _SupplyCommand(Command):
             return None
         return Refusal(
             "this test has no supply; configure [rig.supply]",
-            "Configure [rig.supply] and start the test anew.",
+            "Configure [rig.supply] and restart the test.",
             "This test has no supply.",
         )
 
@@ -557,7 +557,7 @@ class Annotate(StoredCommand):
             return None
         return Refusal(
             f"there is no position {position!r}",
-            f"The positions are {', '.join(facts.places)}; leave it out for the whole test.",
+            f"The positions are {', '.join(facts.places)}; leave it out for the complete test.",
             missing=True,
         )
 

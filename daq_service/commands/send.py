@@ -96,7 +96,7 @@ def send_command(
             f"{carried_out_within_s:g} s; before you send it again, check it with `solimon status`"
         )
     if row.state != "done":
-        raise BusyError(f"order {order_id} ({kind}) {row.state}: {row.result}")
+        raise BusyError(f"command {order_id} ({kind}) {row.state}: {row.result}")
     if not as_json:
         click.echo(row.result)
     return EXIT_OK

@@ -166,7 +166,7 @@ def log_to_file(path: Path) -> None:
         path.touch()
         faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
     except OSError as error:
-        print_line(f"solimon: no log in {path.parent}: {error.strerror}; the test goes on without")
+        print_line(f"solimon: no log in {path.parent}: {error.strerror}; the test continues without it")
 
 
 @contextmanager

@@ -182,7 +182,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
         )
     if foreign := _find_foreign_file(folder):
         raise StorageError(
-            f"{folder} is not empty and is no data folder of solimon (it holds {foreign!r}); "
+            f"{folder} is not empty and not a data folder of solimon (it holds {foreign!r}); "
             "choose a new or empty one with --data-dir"
         )
     probe = folder / f"{WRITE_TEST}{uuid.uuid4().hex}"
@@ -204,7 +204,7 @@ def _create_optional_folder(folder: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        log.warning("%s cannot be made: %s; the test goes on without", folder, error)
+        log.warning("%s cannot be made: %s; the test continues without it", folder, error)
 
 
 def remove_temporary_files(folder: Path) -> None:
@@ -247,7 +247,7 @@ def require_data_folder(folder: Path) -> None:
     except OSError as error:
         raise UsageError(f"the data folder {folder} cannot be read: {error.strerror}; {remedy}") from error
     if foreign:
-        raise UsageError(f"{folder} is no data folder of solimon (it holds {foreign!r}); {remedy}")
+        raise UsageError(f"{folder} is not a data folder of solimon (it holds {foreign!r}); {remedy}")
 
 
 def hold_recorder_lock(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
@@ -301,8 +301,8 @@ def hold_lock(
             file = stack.enter_context(retry(lambda: path.open("a+b")))
         except OSError as error:
             raise StorageUnavailableError(
-                f"{path} cannot be opened: {error.strerror}; remove it if it is no file of solimon, or give "
-                "this user the right to write it"
+                f"{path} cannot be opened: {error.strerror}; remove it if it is not a file of solimon, or "
+                "give this user the right to write it"
             ) from error
         file.seek(0)
         try:
@@ -358,7 +358,7 @@ def is_held(folder: Path, name: str = LOCK_FILE) -> bool | None:
     except FileNotFoundError:
         return False
     except OSError as error:
-        log.debug("the lock of %s cannot be looked at: %s", folder, error)
+        log.debug("the lock of %s cannot be read: %s", folder, error)
         return None
 
 

@@ -81,7 +81,7 @@ def refusal(space: DiskSpace, settings: StorageSettings) -> str:
         return ""
     return (
         f"{space.description}, and below {settings.stop_free_fraction:.0%} (storage.stop_free_fraction) "
-        "nothing more is stored: free some, the test goes on by itself"
+        "nothing is stored: free disk space; the test then continues"
     )
 
 

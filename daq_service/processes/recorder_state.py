@@ -15,9 +15,9 @@ from daq_service.processes.heartbeat import Beat, compute_beat_age_s, read_heart
 RecorderStatus = Literal["running", "finished", "stopped", "not_responding", "not_started"]
 
 FAREWELLS: dict[str, tuple[RecorderStatus, str]] = {
-    "schedule_done": ("finished", "finished: every planned set has its row"),
-    "recorder_stopped": ("stopped", "stopped by its operator; start it again to go on"),
-    "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to go on"),
+    "schedule_done": ("finished", "finished: every scheduled set has its row"),
+    "recorder_stopped": ("stopped", "stopped by its operator; start it again to continue"),
+    "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to continue"),
 }
 PROCESS_EVENTS = ("recorder_started", *FAREWELLS)
 """Events of the service that show the status of a recorder."""

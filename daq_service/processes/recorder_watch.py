@@ -123,7 +123,7 @@ class RecorderWatch:
         may_come = status != "running" and now_s - self._first_s < min(STARTING_S, 3600.0 * allowed_h)
         # Simulated time stands still without a recorder: no set is missed.
         if fresh.clock == "wall" and is_due and not may_come:
-            return f"No planned set stored for {MOST_INTERVALS} intervals"
+            return f"No scheduled set stored for {MOST_INTERVALS} intervals"
         return ""
 
     def _update_alarm(self, finding: str, fresh: Freshness) -> None:

@@ -220,7 +220,7 @@ class Supervisor:
             return None
         if code in FINAL_CODES and child.plan.watched and child.has_started and self._stay:
             # The test has started: the dashboard stays, and the code is returned at the end.
-            log.error("%s ended for good with exit code %d; the dashboard stays", child.plan.name, code)
+            log.error("%s ended with exit code %d; the dashboard stays", child.plan.name, code)
             child.finished, child.exit_code = True, code
             self._messages.put((child.plan.name, {"event": "failed", "code": code}))
             return None
@@ -299,7 +299,7 @@ class Supervisor:
                         # A restarted web service must answer where the browsers already are.
                         child.extra = ["--port", str(message["port"])]
                 except (ValueError, TypeError, LookupError, AttributeError, OverflowError):
-                    log.warning("%s printed a line that is no message: %r", child.plan.name, line[:200])
+                    log.warning("%s printed a line that is not a message: %r", child.plan.name, line[:200])
                     continue
                 child.has_started = child.has_started or event in ("progress", "listening")
                 self._messages.put((child.plan.name, message))

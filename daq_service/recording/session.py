@@ -287,7 +287,7 @@ def _create_or_read_epoch(catalogue: RecorderCatalogue, settings: Settings) -> i
         row = catalogue.read_experiment()
         if row.solimon_version != version("solimon"):
             log.warning(
-                "solimon %s goes on with a test that %s began", version("solimon"), row.solimon_version
+                "solimon %s continues a test that %s started", version("solimon"), row.solimon_version
             )
         return row.epoch_utc_ns
     simulated = settings.clock.kind == "simulated"

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 from daq_service.archive import (
     CorruptArchiveError,
@@ -73,6 +73,7 @@ class ArchivedShots:
         first = self._find_first_readable_set()
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
+        self.configuration: dict[str, Any] = first.provenance.get("configuration", {})
         self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
         self._shots = ShotsBySet(_find_positions(first), self._read_set_records)
         self._moments: dict[SetKey, list[int]] = {}
@@ -290,7 +291,7 @@ def _open_playback(parameters: PlaybackParameters, opening: Opening) -> Iterator
 
 def _check_boards(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
     """Yield the only finding of a playback: state ``ok``, because there are no boards to check."""
-    yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
+    yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to check")
 
 
 def _list_packages(parameters: PlaybackParameters) -> tuple[str, ...]:

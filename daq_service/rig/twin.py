@@ -264,7 +264,7 @@ def _needs_own_process(settings: Settings, n_sets: int) -> bool:
 
 def _check_boards(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Finding]:
     """Yield the only finding of the twin: state ``ok``, because there are no boards to check."""
-    yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to look at")
+    yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to check")
 
 
 def _require_both_roles(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, ...]]) -> None:

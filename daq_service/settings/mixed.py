@@ -170,6 +170,6 @@ class MixedRig(BaseModel):
                     )
         if unknown := [name for name in self.positions if name not in methods]:
             raise ValueError(
-                f"rig.positions.{unknown[0]} is no position of [positions], which has: {', '.join(methods)}; "
+                f"rig.positions.{unknown[0]} is not in [positions], which has: {', '.join(methods)}; "
                 "add it there, or take it out here"
             )

@@ -33,9 +33,9 @@ def find_webhook_url_error(url: str, *, plain_http: bool) -> str:
         parts = urlsplit(url)
         _ = parts.port
     except ValueError:
-        return "it is no address; give one like https://alarms.example.org/solimon"
+        return "it is not an address; give one like https://alarms.example.org/solimon"
     if parts.scheme not in {"http", "https"} or not parts.hostname:
-        return "it is no address of the web; give one like https://alarms.example.org/solimon"
+        return "it is not a web address; give one like https://alarms.example.org/solimon"
     if not url.isascii() or not url.isprintable() or " " in url:
         return "it has characters that an address cannot have; write them as %XX, and a host's name in ASCII"
     if parts.username is not None or parts.password is not None:
@@ -83,7 +83,7 @@ class ReceiverSettings(_Table):
         """
         places = ["url", "url_file", "url_env"] if self.kind == "webhook" else ["url_file", "url_env"]
         if self.kind == "apprise" and self.url:
-            raise ValueError("an address of apprise holds a password; put it into url_file or url_env")
+            raise ValueError("an address of apprise holds a password; set it in url_file or url_env")
         self._require_exactly_one(places)
         if self.kind == "webhook":
             self._require_exactly_one(["secret_file", "secret_env"])

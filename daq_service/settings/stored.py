@@ -31,7 +31,7 @@ PRIVATE = ("web", "notifications", "storage")
 """Tables with addresses, secrets and paths: no reader of the data needs them."""
 
 SHOWN = 12
-"""A refusal names this many keys: nobody reads more."""
+"""A refusal names this many keys."""
 
 
 @cache
@@ -99,7 +99,7 @@ def list_settings_differences(stored: Mapping[str, object], given: Settings) -> 
     foreign = _find_unknown_keys(nest_tables(flat))
     unknown = {path for path in flat if any(path[: len(key)] == key for key in foreign)}
     messages = {
-        path: f"began with {json.dumps(flat[path])}; this version has no such key"
+        path: f"started with {json.dumps(flat[path])}; this version has no such key"
         for path in unknown
         if not _is_hashed_out(path)
     }
@@ -119,7 +119,7 @@ def list_settings_differences(stored: Mapping[str, object], given: Settings) -> 
         # A key that is not hashed where it says what was done before it came has a value all the same.
         then_flat = flatten(known.model_dump(mode="json"))
         messages |= {
-            path: f"began with {_format_json_value(then_flat | then, path)}, "
+            path: f"started with {_format_json_value(then_flat | then, path)}, "
             f"is {_format_json_value(given_flat | now, path)} now"
             for path in {**then, **now}
             if _format_json_value(then, path) != _format_json_value(now, path)

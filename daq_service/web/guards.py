@@ -133,7 +133,7 @@ def _create_body_too_large(size: str) -> Problem:
 
 def _create_body_too_slow() -> Problem:
     """Create, without raising it, the error of a request body that arrives too slowly (408)."""
-    return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
+    return Problem("body-too-slow", f"The body was not complete within {BODY_WITHIN_S:g} s.")
 
 
 def _find_request_problem(

@@ -28,9 +28,9 @@ PAGES = [
     if "generated" not in path.parts
 ]
 TEXTS = {
-    "page": (list_page_texts, 900),
-    "help": (lambda: list_help_texts(cli), 600),
-    "terminal": (list_terminal_texts, 120),
+    "page": (list_page_texts, 1000),
+    "help": (lambda: list_help_texts(cli), 650),
+    "terminal": (list_terminal_texts, 50),
     "tables": (list_table_texts, 1200),
     "messages": (list_printed_texts, 2300),
 }

@@ -207,6 +207,9 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     expect(alarms).to_contain_text("B: signal change, cause undetermined")
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
+    expect(page.locator('.tile[data-position="A"]')).to_contain_text(
+        re.compile("Probe delay *8.00 µs, assumed")
+    )
     alarms.get_by_role("button", name="Acknowledge:").click()
     acknowledging = alarms.locator('[data-focus^="ack-"]')
     expect(acknowledging).to_have_text(SENT)

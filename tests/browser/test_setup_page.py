@@ -102,7 +102,7 @@ def test_terminal_and_page_lead_from_nothing_to_a_first_good_set(doubles, open_p
 
         page.set_viewport_size(PHONE)
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-        terminal.enter("go on")
+        terminal.enter("continue")
         asks("position")
         answer.click()
         asks("accept")

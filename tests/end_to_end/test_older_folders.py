@@ -167,7 +167,9 @@ def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack):
     folder = unpack("c3c2e28")
     files = digests(folder, "**/*.*")
     for refused in (lambda: check_owner(settings_of("c3c2e28"), folder), lambda: goes_on(folder, "c3c2e28")):
-        with pytest.raises(StorageError, match=r"extractor of solitary waves: began with 1\.0, is 1\.1 now"):
+        with pytest.raises(
+            StorageError, match=r"extractor of solitary waves: started with 1\.0, is 1\.1 now"
+        ):
             refused()
         assert digests(folder, "**/*.*").items() >= files.items()
 
@@ -184,9 +186,9 @@ def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(unpack, mo
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("daq_service.catalogue.owner.TWIN_VERSION", "physics of the twin: began with 1, is 2 now"),
-        ("analysis.ultrasound.thickness.EXTRACTOR_VERSION", "of pulse echoes: began with 1.1, is 2"),
-        ("analysis.waves.features.EXTRACTOR_VERSION", "of solitary waves: began with 1.1, is 2"),
+        ("daq_service.catalogue.owner.TWIN_VERSION", "physics of the twin: started with 1, is 2 now"),
+        ("analysis.ultrasound.thickness.EXTRACTOR_VERSION", "of pulse echoes: started with 1.1, is 2"),
+        ("analysis.waves.features.EXTRACTOR_VERSION", "of solitary waves: started with 1.1, is 2"),
     ],
 )
 def test_a_version_that_measures_otherwise_names_what_changed(unpack, monkeypatch, name, message):
@@ -203,4 +205,4 @@ def test_a_new_package_version_alone_is_reported_and_not_refused(unpack, monkeyp
     monkeypatch.setattr("daq_service.recording.session.version", lambda name: "9.0.0")
     with caplog.at_level(logging.WARNING):
         goes_on(unpack("ab39956"), "ab39956")
-    assert "solimon 9.0.0 goes on with a test that 0.1.0 began" in caplog.text
+    assert "solimon 9.0.0 continues a test that 0.1.0 started" in caplog.text

@@ -584,7 +584,7 @@ def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(tmp_path, monke
     assert "seed 5, configuration" in again.stdout
     assert set(columns(out / "fig08.csv")["position"]) == {"B", "C", "D"}
     other = command("--only", "fig8", "--seed", "6")
-    assert (other.returncode, "belongs to the experiment" in other.stderr) == (4, True)
+    assert (other.returncode, "belongs to the test" in other.stderr) == (4, True)
 
 
 def test_the_command_refuses_a_seed_for_a_stored_test(tmp_path):

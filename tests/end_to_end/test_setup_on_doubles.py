@@ -158,7 +158,7 @@ def test_prompts_repeat_until_the_answer_is_valid(doubles, tmp_path, monkeypatch
 
 
 def test_a_person_s_own_values_take_the_place_of_those_proposed(doubles, tmp_path, monkeypatch):
-    wiring = ["", "", str(PULSE_S), "B", "", "", "", "", "strike", "go on", ""]
+    wiring = ["", "", str(PULSE_S), "B", "", "", "", "", "strike", "continue", ""]
     # A holdoff beyond the fall is refused, and all prompts repeat.
     own = ["no", "10", "0.4", "", "", "0.5", "10", "0.4", "", "2e-4", "0.012"]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*wiring, *own, "", "", ""]) + "\n"))

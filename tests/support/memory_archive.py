@@ -53,7 +53,7 @@ class MemoryArchive:
     Parameters
     ----------
     shelf
-        Another archive's, to go on with its sets as after a restart.
+        Another archive's, to continue with its sets as after a restart.
     """
 
     name = "memory"

@@ -108,7 +108,7 @@ def run_checks(settings: Settings, folder: Path, owner: str, progress: Progress)
     if owner:
         remedy = "stop the recorder first, or read `solimon status`"
         for name in (KNOWN_AS.get(item.name, item.name) for item in instruments):
-            yield _build_skipped_check(name, "not looked at: a recorder uses it", remedy)
+            yield _build_skipped_check(name, "not checked: a recorder uses it", remedy)
     else:
         missing = {check.name for check in software if check.state == "fail"}
         yield from run_rig_checks(
@@ -145,8 +145,8 @@ def run_rig_checks(
     for item in instruments:
         name = KNOWN_AS.get(item.name, item.name)
         if set(item.kind.packages(item.parameters)) & missing:
-            found = "not looked at: a package they need is missing"
-            yield _build_skipped_check(name, found, "install what failed above, then look again")
+            found = "not checked: a required package is missing"
+            yield _build_skipped_check(name, found, "install what failed above, then run it again")
         elif driven and "supply" in item.serves:
             yield _build_skipped_check(name, "its own process has the port", "see `solimon status`")
         else:
@@ -189,7 +189,7 @@ def _check_calibrations(positions: Mapping[str, PositionSettings]) -> Check:
 
 def _print_step(text: str) -> None:
     """Print the name of the step that starts, to standard error."""
-    click.echo(f"looking at: {text}", err=True)
+    click.echo(f"checking: {text}", err=True)
 
 
 def _print_checks(checks: list[Check], trial: Trial | None) -> None:

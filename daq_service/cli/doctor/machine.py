@@ -52,7 +52,7 @@ def check_machine(
         return [*checks, _check_synchronization(ask, system), *check_unattended_settings(folder, ask, system)]
     unneeded = "nothing to do: the experiment runs on simulated time"
     return checks + [
-        Check("machine", name, "skipped", "not looked at", unneeded)
+        Check("machine", name, "skipped", "not checked", unneeded)
         for name in ("clock synchronised", "sleep", "updates", "antivirus")
     ]
 
@@ -102,7 +102,7 @@ def _check_synchronization(ask: Ask, system: str) -> Check:
     command = {
         "win32": "w32tm /resync, and keep the service W32Time running",
         "darwin": "switch on Set time automatically in Date & Time",
-    }.get(system, "timedatectl set-ntp true, or run chrony; look at timedatectl")
+    }.get(system, "timedatectl set-ntp true, or run chrony; check with timedatectl")
     found, values = f"{texts[answer]} ({source})", {"synchronised": answer, "asked": source}
     return Check("machine", "clock synchronised", "ok" if answer else "warn", found, command, values)
 

@@ -63,7 +63,7 @@ def strike_and_check_coil(
             check = replace(check, area="rig", state="warn")
         return check, None
     except AnalysisError as error:
-        found = f"the record of a whole strike cannot be assessed: {error}"
+        found = f"the record of a complete strike cannot be assessed: {error}"
         return Check("rig", name, "warn", found, "see the log"), None
     return _build_spike_check(name, parameters, survey), survey
 

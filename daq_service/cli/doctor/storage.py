@@ -205,7 +205,7 @@ def _check_stored_sets(folder: Path) -> list[Check]:
         return [Check("folder", name, "ok", "every set that has rows is there", values=values)]
     sentences = "; ".join(f"{file} {reason}" for file, reason in list(lost.items())[:MOST_SHOWN])
     rest = f"; and {len(lost) - MOST_SHOWN} more" if len(lost) > MOST_SHOWN else ""
-    remedy = "bring them back with solimon repair --from BACKUP; solimon verify looks at everything"
+    remedy = "restore them with solimon repair --from BACKUP; solimon verify checks everything"
     return [Check("folder", name, "fail", f"{sentences}{rest}", remedy, values)]
 
 

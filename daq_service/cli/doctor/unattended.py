@@ -115,7 +115,7 @@ def _check_updates(ask: Ask, system: str) -> Check:
         waits, restarts, source = _read_windows_updates(ask)
         remedy = "in gpedit.msc set Configure Automatic Updates to 2 (notify), or pause updates for the test"
     if waits:
-        remedy = f"restart it before the test begins; then {remedy}"
+        remedy = f"restart it before the test starts; then {remedy}"
     texts = {True: "restart", False: "do not restart", None: "may restart (unknown)"}
     waiting = "; one that is installed waits for a restart" if waits else ""
     found = f"updates {texts[restarts]} this computer by themselves ({source}){waiting}"

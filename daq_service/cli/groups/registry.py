@@ -36,7 +36,7 @@ class _Positive(click.FloatRange):
         """Convert a text to a finite positive number; raise `click.BadParameter` if it is none."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
-            self.fail(f"{value} is no finite number.", param, ctx)
+            self.fail(f"{value} is not a finite number.", param, ctx)
         return number
 
 

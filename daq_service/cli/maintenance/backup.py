@@ -160,7 +160,7 @@ def _mark_destination(destination: Path, experiment: dict[str, object] | None) -
         )
     if (destination / LOCK_FILE).exists():
         raise StorageError(
-            f"a recorder went on in {destination}, which is no copy since; choose another folder"
+            f"a recorder continued the test in {destination}, so it is not a backup; choose another folder"
         )
     for name in (SETS_FOLDER, JOURNAL_FOLDER):
         (destination / name).mkdir(exist_ok=True)

@@ -90,7 +90,7 @@ def _plan_file_repair(
         objection = _find_backup_objection(backup, file, rows)
         if not objection:
             return Step(
-                does="from_backup", file=file, reason=f"{backup / file} is whole and agrees with the rows"
+                does="from_backup", file=file, reason=f"{backup / file} is complete and agrees with the rows"
             )
         return Step(does="nothing", file=file, reason=f"the backup does not help: {objection}")
     if rows is not None and not rows.sets:

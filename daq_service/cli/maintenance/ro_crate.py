@@ -231,7 +231,12 @@ def _describe_origin(
     tools += [
         _build_entity(
             *(f"#position-{name}", "IndividualProduct", f"Position {name}"),
-            description=", ".join(filter(None, (place["method"], place.get("label")))),
+            description=", ".join(
+                [
+                    *filter(None, (place["method"], place.get("label"))),
+                    *(f"{key} {value}" for key, value in place.get("calibration", {}).items() if value),
+                ]
+            ),
             serialNumber=place.get("serial_number"),
         )
         for name, place in configuration["positions"].items()

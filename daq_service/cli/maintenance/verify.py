@@ -93,7 +93,7 @@ MOST_BEHIND_S = 60.0
 NOWHERE = "rows point at it, but it is neither a file nor in the journal"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS: Mapping[DamageKind, tuple[str, str]] = {
-    "audit": (AUDIT_FILE, "nothing else knows who did what: keep it, and look at a backup"),
+    "audit": (AUDIT_FILE, "no other file has these entries: keep it, and check a backup"),
     "notifications": (
         LOG_FILE,
         "only the receivers know what was sent now, and a message may be repeated: keep it",

@@ -267,7 +267,7 @@ def describe_sensor(answer: Sensor, budget: float, sets_per_day: float) -> str:
     for anomaly in answer.named:
         rows, kind = anomaly["rows"], anomaly["kind"]
         row_text = f"{rows[0]} to {rows[-1]}" if kind == "trend" else ", ".join(map(str, rows))
-        lines.append(f"  look at    {kind}, rows {row_text}")
+        lines.append(f"  inspect    {kind}, rows {row_text}")
     for name, limit in answer.limits.items():
         first = answer.first[name]
         since = "" if first is None else f", first row {first}"

@@ -42,7 +42,7 @@ def read_csv_lines(path: Path) -> tuple[list[str], list[str]]:
     except UnicodeDecodeError as error:
         *before, line = content[: error.start + 1].splitlines()
         raise NoTableError(
-            f"{path} is no CSV file in UTF-8: byte {len(line)} of line {len(before) + 1} is "
+            f"{path} is not a CSV file in UTF-8: byte {len(line)} of line {len(before) + 1} is "
             f"0x{line[-1]:02x}; save it as UTF-8"
         ) from error
     lines = [line for line in text.splitlines() if not NO_LINE.fullmatch(line)]
@@ -81,7 +81,7 @@ def mmap_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
         with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
             array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
-        raise NoTableError(f"{path} is no .npy file of numbers, {form}") from error
+        raise NoTableError(f"{path} is not a .npy file of numbers, {form}") from error
     if (
         isinstance(array, np.ndarray)
         and array.ndim in ((1, 2) if one_row else (2,))

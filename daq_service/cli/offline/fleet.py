@@ -285,17 +285,17 @@ def describe_fleet(answer: Fleet) -> str:
     raised = (
         f"{len(answer['raised'])} raised, of which at most {answer['false_discovery_rate']:.0%} are false"
     )
-    promise = " on average" if answer["fdr_guaranteed"] else f" on average, not promised: {answer['why']}"
+    promise = " on average" if answer["fdr_guaranteed"] else f" on average, not verified: {answer['why']}"
     lines = [f"{sensors}: {raised}{promise}"]
     lines += [
-        f"  look at    {sensor_raised['file']}, since row {sensor_raised['row']}"
+        f"  inspect    {sensor_raised['file']}, since row {sensor_raised['row']}"
         for sensor_raised in answer["raised"]
     ]
     for cause in answer["shared"]:
         sizes = ", ".join(f"{name} {size:+.1f} SD" for name, size in cause["largest_sd"].items())
         lines.append(
             f"  all move   rows {cause['first_row']} to {cause['last_row']} ({sizes}): weather, process or "
-            "supply, or a wall that goes everywhere; look at the temperature"
+            "supply, or a wall that goes everywhere; check the temperature"
         )
     if answer["explained"]:
         lines.append(f"  explained  alarms of {len(answer['explained'])} sensors by what all share")

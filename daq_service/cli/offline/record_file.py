@@ -173,7 +173,7 @@ def _make_record_converter(
     """
     if counts and parameters.volts_per_count is None:
         raise UsageError(
-            f"{path} holds whole numbers, which are counts of an ADC: give --volts-per-count, and with it "
+            f"{path} holds integers, which are counts of an ADC: give --volts-per-count, and with it "
             "--rail-counts LOW,HIGH where the ADC has fewer bits than the numbers"
         )
     if parameters.rails is not None and parameters.volts_per_count is None:

@@ -41,7 +41,7 @@ NEARLY = re.compile(
 )
 """A number with a unit, marks between thousands, or a sign that is none of Python's."""
 DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}")
-NO_NUMBERS = "most of its cells are no numbers"
+NO_NUMBERS = "most of its cells are not numbers"
 THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,]\d{3})+\s*")
 TOTAL = re.compile(r"\s*(totals?|sum|mean|average|median|std(ev)?|min|max|count)\s*:?\s*", re.IGNORECASE)
 
@@ -162,7 +162,7 @@ def _find_exclusion_reason(name: str, column: Column, numbers: NDArray[np.float6
     if numbers is None:
         return NO_NUMBERS
     if not isinstance(column, np.ndarray) and any(re.fullmatch(r"\s*0\d+\s*", str(c)) for c in column):
-        return "identifiers: whole numbers that begin with 0"
+        return "identifiers: integers that start with 0"
     steps = np.diff(numbers[np.isfinite(numbers)])
     if np.count_nonzero(steps) >= FEWEST_STEPS and abs(np.sign(steps).sum()) == np.count_nonzero(steps):
         return "it only rises or only falls, as an index or a time does"
@@ -235,7 +235,7 @@ def _read_csv(path: Path) -> Columns:
         rows = list(cells(lines))
         (last_comment,) = cells([comments[-1].lstrip("# ") if comments else ""])
     except csv.Error as error:
-        raise NoTableError(f"{path} is no CSV file: {error}") from error
+        raise NoTableError(f"{path} is not a CSV file: {error}") from error
     if not rows:
         raise NoTableError(f"{path} is empty; its first line names the columns")
     decimal = "." if separator == "," else ","
@@ -332,7 +332,7 @@ def _read_parquet(path: Path) -> Columns:
                 )
             table = file.read()
     except arrow.ArrowInvalid as error:
-        raise NoTableError(f"{path} is no Parquet file: {error}") from error
+        raise NoTableError(f"{path} is not a Parquet file: {error}") from error
     _refuse_repeated_names(path, table.column_names)
     numbers = (arrow.types.is_floating, arrow.types.is_integer)
     columns = {

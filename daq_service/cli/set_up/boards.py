@@ -111,7 +111,7 @@ class Boards:
         proposal = self.bench.propose_values()
         assert proposal is not None, "it was struck"
         survey = proposal.surveys[position]
-        wave = "no wave stands out"
+        wave = "no wave is above the noise"
         if survey.wave_v is not None and survey.wave_after_s is not None:
             wave = f"wave of {survey.wave_v:.3g} V {survey.wave_after_s * 1e3:.3g} ms after off"
         self.dialogue.report(

@@ -156,7 +156,7 @@ class Dialogue:
             if answer.text is None:
                 click.echo(err=True)
                 raise UsageError(
-                    f"nobody answers any more ({question.name}: {question.text}); answer at a terminal, or "
+                    f"no answer is left ({question.name}: {question.text}); answer at a terminal, or "
                     "give flags: solimon setup --help"
                 )
             if answer.number is not None and answer.number != self.number:

@@ -6,28 +6,21 @@ import difflib
 import json
 import tomllib
 from collections.abc import Collection, Sequence
-from dataclasses import asdict
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import tomlkit
-from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
 
-from daq_service.catalogue.experiment_file import read_experiment_file
-from daq_service.clock import format_utc
 from daq_service.errors import UsageError
 from daq_service.processes.printing import print_result
 from daq_service.settings.commented import format_commented_toml, uncomment_tables
 from daq_service.settings.file import find_config_file, find_placeholders, validate_settings
 from daq_service.settings.schema import build_settings_schema
-from daq_service.settings.stored import restore_settings
 from daq_service.settings.tables import KeyPath, Tables, flatten, nest_tables
 from daq_service.settings.tree import Settings
-from hardware_drivers.playback.parameters import TdmsMapping
 
 SCHEMA = "settings.schema.json"
-OF_THE_TWIN = ("chain", "plate", "corrosion", "twin")
 
 
 def write_configuration(
@@ -52,11 +45,14 @@ def write_configuration(
     """
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
-    values, off = (
-        read_lab_config()
-        if kind == "rig"
-        else (_read_twin_values() if source is None else _make_playback_values(source), set())
-    )
+    off: set[KeyPath] = set()
+    values, found = _read_twin_values(), list[str]()
+    if kind == "rig":
+        values, off = read_lab_config()
+    elif source is not None:
+        from daq_service.cli.set_up.recording import build_playback_values
+
+        values, found = build_playback_values(source, values)
     for name in switch_on:
         off -= {table for table in off if _is_in_tables(table, [_find_table(values, name)])}
     off |= {_find_table(values, name) for name in switch_off}
@@ -69,7 +65,7 @@ def write_configuration(
     keys = [".".join(key) for key in missing]
     result = {"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}
     fill_in = [f"to fill in: {key}" for key in keys]
-    lines = [f"{file} is written with its schema", *fill_in, f"next: solimon check-config {file}"]
+    lines = [*found, f"{file} is written with its schema", *fill_in, f"next: solimon check-config {file}"]
     print_result(result, lines, as_json=as_json)
 
 
@@ -92,37 +88,6 @@ def read_lab_config() -> tuple[Tables, set[KeyPath]]:
 def _read_twin_values() -> Tables:
     """Read the values of the shipped simulated.toml, the configuration of the twin, as nested tables."""
     return tomllib.loads(find_config_file("simulated.toml").read_text(encoding="utf-8"))
-
-
-def _make_playback_values(source: Path) -> Tables:
-    """Build the configuration that plays back a recorded test, or other files with the paper's values.
-
-    Raises UsageError if the source is missing or its configuration is of another version, CatalogueError if
-    its experiment file is corrupt.
-    """
-    if not source.exists():
-        raise UsageError(f"{source} is not there; give the folder or file of the recording")
-    playback: Tables = {"source": str(source.absolute()), "format": "archive"}
-    experiment = read_experiment_file(source) if source.is_dir() else None
-    values = _read_twin_values()
-    if experiment is not None:
-        try:
-            recorded = restore_settings(experiment.configuration).model_dump(mode="json", exclude_none=True)
-        except ValidationError as error:
-            raise UsageError(f"{source} was recorded by a version with other keys: {error}") from error
-        values = {name: recorded[name] for name in values}
-        values["clock"] = {"kind": "simulated", "epoch": format_utc(experiment.epoch_utc_ns, 9)}
-    elif not (source / "sets").is_dir():
-        mapping = asdict(TdmsMapping())
-        playback["format"] = "tdms"
-        playback["tdms"] = {name: value for name, value in mapping.items() if value is not None}
-    values = {name: table for name, table in values.items() if name not in OF_THE_TWIN}
-    for place in values["positions"].values():
-        for name in OF_THE_TWIN:
-            place.pop(name, None)
-    # Not the folder of the recording, which may be next to the file.
-    values["storage"] = {**values["storage"], "folder": "playback-data"}
-    return {**values, "rig": {"kind": "playback", "playback": playback}}
 
 
 def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:
@@ -149,7 +114,7 @@ def _parse_value_like(text: str, *, like: object) -> object:
     try:
         return tomlkit.value(text).unwrap()
     except TOMLKitError as error:
-        raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
+        raise UsageError(f"--set: {text} is not a TOML value: {error}; write one like {like}") from error
 
 
 def _find_table(values: Tables, name: str) -> KeyPath:

@@ -182,7 +182,7 @@ class Kinds:
         instrument, *keys = path.strip().split(".")
         if not equals or not keys:
             raise ValueError(
-                f"{text!r} is no INSTRUMENT.KEY=VALUE, for example {next(iter(self.offers))}.KEY=1"
+                f"{text!r} is not INSTRUMENT.KEY=VALUE, for example {next(iter(self.offers))}.KEY=1"
             )
         if instrument not in self.offers:
             raise ValueError(f"there is no {instrument}; there are: {', '.join(self.offers)}")
@@ -270,7 +270,7 @@ class Kinds:
             except UsageError as error:
                 self.dialogue.report(str(error))
                 good = False
-            text = "A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else "")
+            text = "A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to continue" if good else "")
             ends = self.dialogue.ask("parameter", text, parse_assignment, default="-" if good else "")
 
     def _propose_level(self, position: str, trial: Trial) -> None:

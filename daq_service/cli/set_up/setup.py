@@ -134,7 +134,7 @@ def _parse_named_options(given: Sequence[str]) -> dict[str, str]:
         name, equals, value = text.partition("=")
         if not (equals and name.strip().isalnum() and value.strip()):
             raise UsageError(
-                f"{text!r} is no NAME=...; name the position first, for example B=01E16086/ai0/ctr0"
+                f"{text!r} is not NAME=...; name the position first, for example B=01E16086/ai0/ctr0"
             )
         named[name.strip()] = value.strip()
     return named

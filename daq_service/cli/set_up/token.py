@@ -65,9 +65,7 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
     path, audit = _find_token_files(config, data_dir)
     token = revoke_token(path, name)
     _add_audit_entry(audit, "revoke_token", name=name)
-    click.echo(
-        json.dumps(_describe_token(token)) if as_json else f"the token of {name} opens nothing any more"
-    )
+    click.echo(json.dumps(_describe_token(token)) if as_json else f"the token of {name} is revoked")
 
 
 def _find_token_files(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:

@@ -162,5 +162,5 @@ def _ask_whether_to_strike(dialogue: Dialogue, position: str) -> bool:
 
     Raises UsageError if the answers end.
     """
-    text, choices = f"Strike {position} once, all hands out of the rig? Or go on", ("strike", "go on")
-    return dialogue.ask(f"{position}.strike", text, str, default="go on", choices=choices) == "strike"
+    text, choices = f"Strike {position} once, all hands out of the rig? Or continue", ("strike", "continue")
+    return dialogue.ask(f"{position}.strike", text, str, default="continue", choices=choices) == "strike"

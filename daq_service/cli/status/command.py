@@ -92,5 +92,5 @@ def _compose_status_or_error(config: Path | None, data_dir: Path | None) -> Rend
     try:
         folder, facts = _read_status(config, data_dir)
     except SolimonError as error:
-        return f"cannot be read now, and is looked at again: {escape_to_one_line(str(error))}"
+        return f"cannot be read now; next attempt follows: {escape_to_one_line(str(error))}"
     return compose_status(facts, str(folder))

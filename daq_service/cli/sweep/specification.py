@@ -70,7 +70,7 @@ def read_sweep_file(path: Path) -> tuple[Axis, ...]:
     except OSError as error:
         raise UsageError(f"cannot read --sweep-file {path}: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"--sweep-file {path} is no CSV file in UTF-8: {error}") from error
+        raise UsageError(f"--sweep-file {path} is not a CSV file in UTF-8: {error}") from error
     if len(rows) < 2:
         raise UsageError(f"--sweep-file {path} holds no shots; write a header of keys, then one row a shot")
     header, *shots = rows

@@ -107,7 +107,7 @@ class ReceiverQueue:
             self.state.began = f"went on behind event {progress.cursor}"
             self._resume_message(progress.sending)
         elif progress is None and not self._source.has_started():
-            self._report_start("begins with the test's first event")
+            self._report_start("starts with the test's first event")
         else:
             self._last_read_id = self._source.last_event_id()
             reason = (

@@ -160,7 +160,7 @@ def _describe_unknown_alarm(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
 def _find_no_records_reason(alarm: AlarmRow) -> str:
     """Return why an alarm does not follow from the records of a position, as a text; empty if it does."""
     if alarm.position is None:
-        return "it is about the test as a whole, not about the records of a position"
+        return "it is about the complete test, not about the waveforms of a position"
     if alarm.raised_set_index is None:
         return "no set raised it, but a person's command or an instrument"
     return ""

@@ -85,7 +85,7 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
         ) from error
     except ValidationError as error:
         raise StorageError(
-            f"{path} is no file of access tokens; bring it back from a copy, or remove it and make new ones "
+            f"{path} is not a file of access tokens; restore it from a copy, or remove it and make new ones "
             "with `solimon token create`"
         ) from error
 
@@ -108,7 +108,7 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
         The file cannot be read or written.
     """
     if not _NAME.fullmatch(name):
-        raise UsageError(f"{name[:60]!r} is no name of a token; use up to 40 letters, digits and . _ @ -")
+        raise UsageError(f"{name[:60]!r} is not a valid token name; use up to 40 letters, digits and . _ @ -")
     text, now_ns = secrets.token_urlsafe(32), time.time_ns()
     expires = None if days is None else format_utc(now_ns + round(days * _S_PER_DAY) * NS_PER_S, 0)
     token = Token(

@@ -76,7 +76,7 @@ def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path
     Raises
     ------
     AbsentError
-        The test cannot be shown now; its ``state`` gives the kind of reason.
+        The test is not available now; its ``state`` gives the kind of reason.
     """
     with translate_to_absent():
         settings, folder = _read_settings_and_folder(path)

@@ -57,5 +57,5 @@ def print_page(page: bytes, target: Path) -> bytes:
     except (OSError, subprocess.TimeoutExpired) as error:
         reason = reason or str(error)
     if not content.startswith(b"%PDF-"):
-        raise UsageError(f"{browser} did not print the page: {reason}. To go on, {REMEDY}.")
+        raise UsageError(f"{browser} did not print the page: {reason}. To continue, {REMEDY}.")
     return content

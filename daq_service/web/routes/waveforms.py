@@ -53,7 +53,7 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
         content = read_shared(path)
     except FileNotFoundError:
         raise not_found(
-            f"Position {position} has no live picture yet.", "The recorder writes one with its next record."
+            f"Position {position} has no live waveform yet.", "The recorder writes one with its next record."
         ) from None
     except OSError as error:
         raise create_unreadable_figure(str(error)) from None

@@ -104,7 +104,7 @@ def create_unreadable_figure(why: str) -> Problem:
     """Create, without raising it, the error that a live figure is unreadable (503)."""
     return Problem(
         "storage-unavailable",
-        f"The newest live picture cannot be read: {why}.",
+        f"The newest live waveform cannot be read: {why}.",
         "The recorder replaces it with its next record; stored records are not concerned.",
-        title="The live picture cannot be read",
+        title="The live waveform cannot be read",
     )

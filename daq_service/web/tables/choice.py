@@ -55,7 +55,7 @@ class TableKind:
 
 
 TABLES: Mapping[str, TableKind] = {
-    "sets": TableKind(rows.SetRow, "Planned sets and what became of them", unscheduled_set=True),
+    "sets": TableKind(rows.SetRow, "Scheduled sets and their results", unscheduled_set=True),
     "features": TableKind(rows.FeatureRow, "Features of sets", {"scope": "set"}, unscheduled_set=True),
     "shot_features": TableKind(
         rows.FeatureRow, "Features of single shots", {"scope": "shot"}, unscheduled_set=True

@@ -111,7 +111,9 @@ def read_record_slice(
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **filters)
     sets = {row.set_index: row for row in rows if row.file is not None}
     if not sets:
-        raise NoRecordError(f"no record of position {choice.position} is stored in these sets; look at sets")
+        raise NoRecordError(
+            f"no record of position {choice.position} is stored in these sets; see the table sets"
+        )
     if len(rows) > MOST_SETS:
         raise UsageError(f"these are more than {MOST_SETS} sets; choose a shorter range")
     n_records = sum(row.n_taken for row in sets.values())

@@ -162,7 +162,7 @@ def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path
         message = str(caught.value)
         assert Settings().configuration_hash() in message
         assert other.configuration_hash() in message
-        assert "plate.thickness_m began with 0.00635, is 0.006 now" in message
+        assert "plate.thickness_m started with 0.00635, is 0.006 now" in message
         assert "--data-dir" in message
 
 
@@ -224,7 +224,7 @@ def test_a_rejected_row_rejects_the_whole_set(writer, reader):
     bad = commit_of(1)
     # The very last thing that is stored fails.
     events = [*bad.events, event_row(payload=None)]
-    with pytest.raises(CatalogueConflictError, match="nothing of it was stored"):
+    with pytest.raises(CatalogueConflictError, match="nothing was stored"):
         writer.commit_set(SetCommit(sets=bad.sets, shots=bad.shots, features=bad.features, events=events))
     assert (reader.counts(), reader.last_event_id()) == before
     assert writer.list_committed_sets() == {SetKey(0)}
@@ -454,7 +454,7 @@ def test_trends_have_columns(filled):
 
 
 def test_an_unknown_column_is_refused_by_name(filled):
-    with pytest.raises(CatalogueError, match=r"\['tof'\] are no columns of 'features'"):
+    with pytest.raises(CatalogueError, match=r"\['tof'\] are not columns of 'features'"):
         filled.columns(FeatureRow, ["tof"], position="B", scope="set")
 
 

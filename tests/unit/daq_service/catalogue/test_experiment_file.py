@@ -67,5 +67,5 @@ def test_without_a_catalogue_the_file_identifies_the_test(row, tmp_path):
     write_experiment_file(tmp_path, row)
     check_owner(load_settings(None), tmp_path)
     lower = load_settings(None, overrides={"chain": {"drop_height_m": 3e-3}})
-    with pytest.raises(OtherExperimentError, match=r"drop_height_m began with 0.005, is 0.003 now"):
+    with pytest.raises(OtherExperimentError, match=r"drop_height_m started with 0.005, is 0.003 now"):
         check_owner(lower, tmp_path)

@@ -307,7 +307,7 @@ def test_few_readings_give_no_result(evidence):
     assert f"{FEWEST_READINGS} are needed" in few.missing
     assert estimate_growth(range(FEWEST_READINGS - 1), [1.0] * (FEWEST_READINGS - 1)) is None
     assert "not kept" in grown(evidence, []).missing
-    assert "does not tell" in grown(evidence, [None] * 40).missing
+    assert "does not report" in grown(evidence, [None] * 40).missing
 
 
 def test_readings_of_a_real_run_are_reported(faulty):

@@ -103,14 +103,6 @@ def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path):
     assert rows_of(tmp_path / "played")["set_features"] == rows_of(recording)["set_features"] != []
 
 
-def test_a_recording_of_labview_has_its_names_written_down(tmp_path):
-    (tmp_path / "labview").mkdir()
-    write_configuration("playback", tmp_path / "playback.toml", "--source", tmp_path / "labview")
-    playback = load_settings(tmp_path / "playback.toml").rig.playback
-    assert (playback.format, playback.source) == ("tdms", tmp_path / "labview")
-    assert "file_pattern = " in (tmp_path / "playback.toml").read_text(encoding="utf-8")
-
-
 def test_no_file_is_overwritten(tmp_path):
     file, schema = tmp_path / "twin.toml", tmp_path / "settings.schema.json"
     file.write_text("mine")
@@ -134,7 +126,7 @@ def test_only_a_toml_file_is_written(tmp_path):
         (["playback"], "--source names the recording"),
         (["playback", "--source", "nowhere"], "nowhere is not there"),
         (["twin", "--set", "schedule.shots_pr_set=5"], "did you mean schedule.shots_per_set?"),
-        (["twin", "--set", "schedule.shots_per_set=five"], "five is no TOML value"),
+        (["twin", "--set", "schedule.shots_per_set=five"], "five is not a TOML value"),
         (["twin", "--set", "schedule.shots_per_set=0"], "schedule.shots_per_set: Input should be greater"),
         (["rig", "--with", "rig.climat"], "did you mean rig.climate?"),
     ],

@@ -76,10 +76,10 @@ def test_a_schedule_without_an_assessed_set_is_refused(tmp_path, text, line):
 
 def test_everything_that_prevents_a_test_is_listed_at_once(tmp_path, capsys):
     reachable = "[web]\nhost_names = ['lab.example']\nproxy = '127.0.0.1'\n"
-    text = f"[schedule]\nend_h = 8.0\n{reachable}[plate]\nmodel = 'solid'\nsupport = 'free'\n"
-    baseline, twin, web = refusal(tmp_path, text)
+    text = f"[schedule]\nend_h = 8.0\n{reachable}{PLAYBACK}'nowhere'"
+    baseline, recording, web = refusal(tmp_path, text)
     assert baseline.startswith("  baseline.hours = 24 takes 48 sets, and the schedule has 16")
-    assert twin.startswith("  the twin cannot be built as configured: plate.support is 'free'")
+    assert "nowhere holds no sets" in recording
     assert "no valid access token" in web
     assert "sets       16, the last one due at hour 8\n" in capsys.readouterr().out
     with pytest.raises(UsageError):
@@ -109,7 +109,7 @@ def test_a_disk_that_is_too_small_is_refused_before_the_first_set_only(tmp_path,
 
 def test_the_folder_of_another_test_is_refused(tmp_path):
     assert run(small_settings(schedule={"end_h": 0.5}), tmp_path / "data")
-    with pytest.raises(UsageError, match=r"data belongs to the experiment "):
+    with pytest.raises(UsageError, match=r"data belongs to the test "):
         check(tmp_path, "")
 
 

@@ -207,7 +207,7 @@ def notify_three(folder):
 @pytest.mark.parametrize(
     ("write_three", "kind", "file", "remedy"),
     [
-        (audit_three, "audit", "audit.jsonl", "keep it, and look at a backup"),
+        (audit_three, "audit", "audit.jsonl", "keep it, and check a backup"),
         (notify_three, "notifications", "notifications.jsonl", "a message may be repeated"),
     ],
 )
@@ -486,7 +486,7 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
         back_up(folder, copy)
     lay_out(folder)
     (copy / "recorder.lock").touch()
-    with pytest.raises(StorageError, match="no copy since"):
+    with pytest.raises(StorageError, match="not a backup"):
         back_up(folder, copy)
 
 

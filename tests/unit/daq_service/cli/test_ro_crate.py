@@ -28,7 +28,10 @@ SPECIFICATION = "https://w3id.org/ro/crate/1.2"
 TABLES = ("sets", "features", "shot_features", "assessments", "thickness", "environment")
 TABLES += ("baselines", "alarms", "annotations")
 PRIVATE = ("hooks.example.org", "+39 081 555", "lab-pc-7")
+POSITIONS = Settings().model_dump(mode="json")["positions"]
+POSITIONS["B"]["calibration"]["certificate"] = "K-7"
 SETTINGS = Settings(
+    positions=POSITIONS,
     name="Tank 3 Süd",
     alarms={"contacts": {"wall": PRIVATE[1]}},
     notifications={"receivers": {"chat": {"url": f"https://{PRIVATE[0]}/T0", "secret_env": "S"}}},
@@ -133,7 +136,8 @@ def test_a_crate_describes_test_files_columns_instruments_and_software(folder, t
     assert [tool["version"] for tool in tools if tool["@type"] == "SoftwareApplication"] == ["0", "0.1.0"]
     names = [tool["name"] for tool in tools if tool["@type"] == "IndividualProduct"]
     assert names == [f"Position {name}" for name in "ABCD"]
-    assert "solitary_wave, HNSW transducer, 25.4 mm patch" in [tool.get("description") for tool in tools]
+    calibrated = entities["#position-B"]["description"]
+    assert calibrated == "solitary_wave, HNSW transducer, 25.4 mm patch, certificate K-7"
     for table in TABLES:
         columns = [column["@id"] for column in entities[f"tables/{table}.csv"]["variableMeasured"]]
         header = pd.read_csv(tmp_path / f"crate/tables/{table}.csv").columns

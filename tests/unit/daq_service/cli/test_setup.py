@@ -27,7 +27,7 @@ from hardware_drivers.errors import ConfigurationError, InstrumentError
 from simulator.doubles.serial.instruments import SerialInstruments
 
 HEIGHT = {"name": "height", "text": "Height, m", "default": "0.005"}
-LEAVE = {"name": "B.strike", "text": "Strike B", "default": "go on", "choices": ("strike", "go on")}
+LEAVE = {"name": "B.strike", "text": "Strike B", "default": "continue", "choices": ("strike", "continue")}
 
 
 @pytest.fixture
@@ -69,11 +69,11 @@ def test_a_question_is_repeated_until_the_answer_is_valid(monkeypatch, capsys):
 def test_an_empty_answer_is_the_default_which_strikes_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\nyes\nst\nstrike\n"))
     dialogue = Dialogue()
-    assert dialogue.ask(**LEAVE, parse=str) == "go on"
+    assert dialogue.ask(**LEAVE, parse=str) == "continue"
     assert dialogue.ask(**LEAVE, parse=str) == "strike", "only the word itself"
     assert [line for line in dialogue.lines if "none of" in line] == [
-        "  'yes' is none of strike, go on",
-        "  'st' is none of strike, go on",
+        "  'yes' is none of strike, continue",
+        "  'st' is none of strike, continue",
     ]
 
 
@@ -94,8 +94,8 @@ def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
     assert dialogue.as_row()["question"] is None
     value = ask_in_thread(dialogue, LEAVE)
     assert not dialogue.answer(shown["number"], "strike"), "that was an answer to the height"
-    assert dialogue.answer(dialogue.number, "go on")
-    assert value.get() == "go on"
+    assert dialogue.answer(dialogue.number, "continue")
+    assert value.get() == "continue"
 
 
 def test_a_second_answer_to_one_question_does_not_answer_the_next(terminal):
@@ -108,9 +108,9 @@ def test_a_second_answer_to_one_question_does_not_answer_the_next(terminal):
         dialogue._answers.put(_Answer("strike", number))
     assert value.get() == 0.004
     value = ask_in_thread(dialogue, LEAVE)
-    terminal.write("go on\n")
+    terminal.write("continue\n")
     terminal.flush()
-    assert value.get() == "go on"
+    assert value.get() == "continue"
 
 
 class Typed(io.StringIO):
@@ -124,7 +124,7 @@ def test_input_typed_ahead_strikes_nothing(monkeypatch):
     dialogue = Dialogue()
     assert dialogue.ask(**HEIGHT, parse=float) == 0.004
     until(lambda: "terminal" not in {item.name for item in threading.enumerate()}, "both lines were typed")
-    with pytest.raises(UsageError, match="nobody answers any more"):
+    with pytest.raises(UsageError, match="no answer is left"):
         dialogue.ask(**LEAVE, parse=str)
 
 

@@ -46,7 +46,7 @@ def instruments(file):
 
 def test_the_dialogue_writes_a_complete_file(file, script):
     answers = (
-        "\nB\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ngo on\n-\n" + NO_OTHERS
+        "\nB\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ncontinue\n-\n" + NO_OTHERS
     )
     ended = set_up(file, *SCOPE_AND_HAMMER, answers=answers)
     assert ended.exit_code == 0, ended.output
@@ -62,7 +62,7 @@ def test_the_dialogue_writes_a_complete_file(file, script):
 
 
 def test_an_unsuitable_trigger_level_is_proposed_again(file):
-    answers = "\nB\n-\nstrike\nyes\n-\ngo on\n-\n" + NO_OTHERS
+    answers = "\nB\n-\nstrike\nyes\n-\ncontinue\n-\n" + NO_OTHERS
     ended = set_up(file, "--kind", "scripted-levelled", "--kind", "scripted-hammer", answers=answers)
     assert ended.exit_code == 0, ended.output
     assert "take   scripted-levelled.trigger_level_v 0.5 V, a tenth of the incident wave" in ended.output
@@ -128,7 +128,7 @@ def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
         (("--kind", "oscilloscope"), "no installed package offers the kind 'oscilloscope'"),
         (("--kind", "scripted-supply"), "scripted-supply neither digitizes nor strikes here"),
         (("--kind", "scripted-scope"), "none of scripted-scope is a striker; add one that is: "),
-        ((*SCOPE_AND_HAMMER, "--set", "range_v"), "'range_v' is no INSTRUMENT.KEY=VALUE"),
+        ((*SCOPE_AND_HAMMER, "--set", "range_v"), "'range_v' is not INSTRUMENT.KEY=VALUE"),
         ((*SCOPE_AND_HAMMER, "--set", "scope.range_v=1"), "there is no scope; there are: scripted-scope"),
         ((*SCOPE_AND_HAMMER, "--set", "scripted-scope.rnage_v=1"), "scripted-scope has no rnage_v; it has"),
         ((*SCOPE_AND_HAMMER, "--transducer", "B=nobody/scripted-hammer"), "nobody"),

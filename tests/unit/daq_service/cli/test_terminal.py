@@ -45,7 +45,7 @@ def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys):
             log.progress(pause_s, done)
         log.progress(1.0, 100)
     assert [line.partition(", ")[2] for line in lines(capsys)] == [
-        f"{done} of 100 sets" for done in (1, 2, 3, 6, 100)
+        f"set {done} of 100" for done in (1, 2, 3, 6, 100)
     ]
 
 
@@ -63,7 +63,7 @@ def test_each_requested_action_is_one_line(capsys):
         log.after(0.0, "asked", **asked, within_s=400.0)
         log.after(8.0, "asked_over")
         log.after(0.0, "asked", text="close the door", within_s=30.0)
-    assert lines(capsys) == ["strike C now (position C, shot 6): within 7 min", "close the door: within 30 s"]
+    assert lines(capsys) == ["strike C now (position C, shot 7): within 7 min", "close the door: within 30 s"]
 
 
 def test_alarms_are_printed_when_raised_and_when_cleared(capsys):
@@ -96,7 +96,7 @@ def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(caps
         log.after(0.0, "gap", set_index=10, **{**GAP, "reason": "the computer slept"})
     assert lines(capsys) == [
         "set 3 missed at A, B: paused by ann: door open",
-        "hour 2.0, 4 of 100 sets",
+        "hour 2.0, set 4 of 100",
         "sets 4 to 5, too, missed at A, B: paused by ann: door open",
         "set 9 missed at A, B: paused by ann: door open",
         "set 10 missed at A, B: the computer slept",
@@ -128,11 +128,11 @@ def test_the_progress_line_names_the_long_step(capsys):
     assert text().plain == "opening the rig; 41 s so far"
     log.progress(0.0, 5)
     log.after(0.0, "beat", doing="waiting for set 5", process=1)
-    assert text().plain == "hour 2.5, 5 of 100 sets"
+    assert text().plain == "hour 2.5, set 5 of 100"
     log.now_s += 600.0
-    assert text().plain == "hour 2.5, 5 of 100 sets; waiting for set 5; 10 min so far"
+    assert text().plain == "hour 2.5, set 5 of 100; waiting for set 5; 10 min so far"
     log.after(0.0, "beat", doing="taking set 5", pace_h_per_s=1.23)
-    assert text().plain == "hour 2.5, 5 of 100 sets; slower than set: 1.2 h per s"
+    assert text().plain == "hour 2.5, set 5 of 100; slower than set: 1.2 h per s"
     capsys.readouterr()
 
 
@@ -161,7 +161,7 @@ def test_a_closed_terminal_ends_no_test(monkeypatch, caplog):
     log = Log()
     with caplog.at_level(logging.DEBUG), log.report:
         log.progress(0.0, 1)
-    assert "nobody reads 'hour 0.5, 1 of 100 sets'" in caplog.text
+    assert "no reader for 'hour 0.5, set 1 of 100'" in caplog.text
 
 
 class HeldTerminal(io.StringIO):

@@ -34,7 +34,7 @@ def test_a_token_is_created_printed_once_listed_and_revoked(token, tmp_path):
     code, listed, _ = token("list")
     assert (code, listed.split()[:3]) == (0, ["ann", "operator", "valid"])
     assert text not in listed
-    assert token("revoke", "ann")[:2] == (0, "the token of ann opens nothing any more\n")
+    assert token("revoke", "ann")[:2] == (0, "the token of ann is revoked\n")
     assert token("list")[1].split()[2] == "revoked"
     entries = [
         (deed.what, deed.source, deed.result, deed.arguments)
@@ -70,7 +70,7 @@ def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
             ("create", "ann", "--role", "admin"),
             "ann has a token; revoke it first with `solimon token revoke ann`",
         ),
-        (("create", "b/n", "--role", "admin"), "'b/n' is no name of a token; use up to 40 letters"),
+        (("create", "b/n", "--role", "admin"), "'b/n' is not a valid token name; use up to 40 letters"),
         (
             ("create", "ben", "--role", "boss"),
             "'boss' is not one of 'viewer', 'operator', 'engineer', 'admin'",
@@ -98,7 +98,7 @@ def test_an_unreadable_token_file_is_reported_and_left_unchanged(token, tmp_path
         path.write_text('{"tokens": 1}', encoding="utf-8")
     code, out, err = token(*arguments)
     assert (code, out) == (4, "")
-    assert ("cannot be read" if damage == "unreadable" else "is no file of access tokens") in err
+    assert ("cannot be read" if damage == "unreadable" else "is not a file of access tokens") in err
     assert path.is_dir() if damage == "unreadable" else path.read_text(encoding="utf-8") == '{"tokens": 1}'
 
 

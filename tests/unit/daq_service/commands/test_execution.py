@@ -256,11 +256,11 @@ def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(ben
         bench.listener.execute_open_commands()
     assert bench.answer(started) == (
         "failed",
-        "the recorder ended while carrying it out; look before you give it again",
+        "the recorder ended while executing it; check the result before you send it again",
     )
     for order_id in (waiting, rows_only):
         state, message = bench.answer(order_id)
-        assert (state, "it was given before this recorder began" in message) == ("expired", True)
+        assert (state, "it was sent before this recorder started" in message) == ("expired", True)
     assert bench.listener.paused == "", "what it would have stored is not there"
     assert bench.switch.done == []
     assert bench.execute("supply_on") == ("done", "the supply is on")

@@ -74,7 +74,7 @@ def test_a_permitted_command_is_executed(kind):
     [
         ({"recorder": "finished"}, "The recorder has finished"),
         ({"recorder": "stopped"}, "The recorder has stopped"),
-        ({"recorder": "not_responding", "recorded": False}, "Nobody records this test"),
+        ({"recorder": "not_responding", "recorded": False}, "No recorder runs for this test"),
     ],
     ids=["finished", "stopped", "not recorded"],
 )
@@ -82,7 +82,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, state, w
     command = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = command.find_refusal(facts(**OPEN, **state))
     assert (refusal is None) == isinstance(command, StoredCommand)
-    assert refusal is None or refusal.detail == f"{word}: nobody would carry this out."
+    assert refusal is None or refusal.detail == f"{word}: no recorder would execute this."
 
 
 @pytest.mark.parametrize(
@@ -112,9 +112,9 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, state, w
         (
             "trust_clock",
             {"alarms": [replace(DOUBTED, state="returned_unacknowledged")]},
-            "nobody doubts the system's clock",
-            "Nobody doubts the system's clock.",
-            "The alarm clock_unverified stands while it is doubted.",
+            "the computer clock is verified",
+            "The computer clock is verified.",
+            "The alarm clock_unverified is active while it is not.",
         ),
         (
             "disable",
@@ -149,7 +149,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, state, w
             {"has_supply": False},
             "this test has no supply; configure [rig.supply]",
             "This test has no supply.",
-            "Configure [rig.supply] and start the test anew.",
+            "Configure [rig.supply] and restart the test.",
         ),
         (
             "acknowledge_alarm",
@@ -193,7 +193,7 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on():
         ("jump", {}, "unknown command 'jump'; there are finish_now, stop, acknowledge_alarm, pause, resume"),
         ("disable", {}, "arguments.position: Field required"),
         ("pause", {}, "arguments.note: Field required"),
-        ("pause", {"note": " \t"}, "arguments.note: Value error, say why the test is paused"),
+        ("pause", {"note": " \t"}, "arguments.note: Value error, state why the test is paused"),
         ("pause", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
         ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
         ("supply_on", {"voltage_v": True}, "arguments.voltage_v: Input should be a valid number"),

@@ -97,7 +97,7 @@ def test_invalid_arguments_are_not_stored(recorder):
 
 
 def test_a_command_that_is_not_started_in_time_expires(recorder, capsys):
-    with pytest.raises(BusyError, match=r"order 1 \(resume\) expired: not executed") as silence:
+    with pytest.raises(BusyError, match=r"command 1 \(resume\) expired: not executed") as silence:
         recorder.send("resume", within_s=0.0, as_json=True)
     assert silence.value.exit_code == 5
     assert json.loads(capsys.readouterr().out)["state"] == "expired"
@@ -119,7 +119,7 @@ def test_a_started_command_without_a_result_is_reported_as_unknown(recorder):
 
 def test_a_command_whose_recorder_ended_is_reported_as_failed(recorder):
     recorder.answer = ("failed", "the recorder ended while carrying it out")
-    with pytest.raises(BusyError, match=r"order 1 \(pause\) failed: the recorder ended"):
+    with pytest.raises(BusyError, match=r"command 1 \(pause\) failed: the recorder ended"):
         recorder.send("pause", note="why")
 
 

@@ -138,4 +138,4 @@ def test_a_full_volume_is_reported_immediately(tmp_path, monkeypatch):
         monkeypatch.setattr(disk_policy.shutil, "disk_usage", lambda _, volume=volume: volume)
         report_full_disk(tmp_path, Settings().storage, messages.append)
         assert [line.partition(", and")[0] for line in messages] == expected
-    assert messages[0].endswith("free some, the test goes on by itself")
+    assert messages[0].endswith("free disk space; the test then continues")

@@ -44,7 +44,7 @@ def test_executor_names_are_checked_before_the_start():
     for name in ("processes", "threads", "dask://there", "dask://there:9000"):
         assert validate_executor_name(name, None) == name
     for name in ("process", "dask://", "dask:there", "http://there"):
-        with pytest.raises(UsageError, match="say processes, threads, or dask"):
+        with pytest.raises(UsageError, match="give processes, threads, or dask"):
             validate_executor_name(name, None)
     with pytest.raises(UsageError, match="--workers does not belong to a cluster"):
         validate_executor_name("dask://there", 4)

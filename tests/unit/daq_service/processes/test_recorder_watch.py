@@ -78,7 +78,7 @@ def bench(tmp_path, monkeypatch):
     made.catalogue.close()
 
 
-RESTARTS, NO_SET = "3 restarts in 10 min", "No planned set stored for 2 intervals"
+RESTARTS, NO_SET = "3 restarts in 10 min", "No scheduled set stored for 2 intervals"
 
 
 def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench):

@@ -328,7 +328,7 @@ def test_a_childs_messages_are_passed_on_and_other_lines_are_not(caplog):
         ("recorder", {"event": "progress", "done": 1}),
         ("recorder", {"event": "finished"}),
     ]
-    assert "printed a line that is no message: b'hello" in caplog.text
+    assert "printed a line that is not a message: b'hello" in caplog.text
 
 
 @pytest.mark.parametrize("code", [1, 4, 5])

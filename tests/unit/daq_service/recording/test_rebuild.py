@@ -221,7 +221,7 @@ def test_a_catalogue_of_another_hour_0_is_refused(line, tmp_path):
     with open_catalogue(line.folder, writer=True) as catalogue:
         row = catalogue.read_experiment()
         catalogue.restore_rows([replace(row, epoch_utc_ns=row.epoch_utc_ns + 1)])
-    with pytest.raises(OtherExperimentError, match="two experiments"):
+    with pytest.raises(OtherExperimentError, match="two tests"):
         rebuild_catalogue(line)
 
 

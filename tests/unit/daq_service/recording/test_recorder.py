@@ -299,7 +299,7 @@ def test_below_five_percent_free_no_data_are_stored(line, undisturbed):
     assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
     assert [row.payload["level"] for row in events_of(line, "disk_space")] == ["stop", "ample"]
     assert any(
-        "below 5% (storage.stop_free_fraction) nothing more is stored" in doing
+        "below 5% (storage.stop_free_fraction) nothing is stored" in doing
         for doing in line.heartbeat.activities
     )
 

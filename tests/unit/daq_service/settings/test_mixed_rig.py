@@ -86,7 +86,7 @@ def test_each_instrument_has_its_positions_and_defaults(tmp_path):
         ('striker = "boards"\n[', 'striker = "scope"\n[', "rig.positions.B.striker is 'scope', whose kind '"),
         ('striker = "boards"\n[', 'striker = "boards"\npulse_echo = "scope"\n[', "B is a solitary_wave posi"),
         ("[rig.positions.B]", "[rig.positions.E]", r"rig.positions.B.digitizer is missing"),
-        (PLACES, PLACES + '[rig.positions.E]\nstriker = "boards"\n', "rig.positions.E is no position of .po"),
+        (PLACES, PLACES + '[rig.positions.E]\nstriker = "boards"\n', "rig.positions.E is not in .po"),
         (SCOPE, SCOPE + '[rig.instruments.spare]\nkind = "scripted-hammer"\n', "spare: no position uses it;"),
         ('kind = "scripted-scope"', 'kind = "picoscope"', r"rig.instruments.scope: no installed package off"),
         ("range_v = 5.0", "range_v = 70.0", r"rig.instruments.scope.range_v: .*less than or equal to 50 .va"),
@@ -128,7 +128,7 @@ def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path):
     stored = first.model_dump(mode="json")
     assert list_settings_differences(stored, moved) == []
     assert list_settings_differences(stored, other) == [
-        "rig.instruments.scope.range_v began with 5.0, is 10.0 now"
+        "rig.instruments.scope.range_v started with 5.0, is 10.0 now"
     ]
 
 

@@ -35,8 +35,8 @@ def test_receivers_do_not_change_the_configuration_hash(tmp_path):
     [
         ({"url": "http://alarms.example.org/hook"}, "http:// to alarms.example.org.*plain_http = true"),
         ({"url": f"https://ann:{HIDDEN}@alarms.example.org/"}, "holds a name or a password; take them out"),
-        ({"url": "ftp://alarms.example.org/"}, "no address of the web"),
-        ({"url": "https://alarms.example.org:99999/"}, "it is no address"),
+        ({"url": "ftp://alarms.example.org/"}, "not a web address"),
+        ({"url": "https://alarms.example.org:99999/"}, "it is not an address"),
         ({"url": f"https://alarms.example.org/a\n{HIDDEN}"}, "characters that an address cannot have"),
         ({"url_env": "HOOK"}, "url and url_env of url, url_file, url_env is given; give exactly one"),
         ({"secret_file": ""}, "none of secret_file, secret_env is given"),

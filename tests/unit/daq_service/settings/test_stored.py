@@ -29,7 +29,7 @@ def test_a_key_that_came_later_counts_with_its_default():
         del position["plate"]["contact"]
     assert list_settings_differences(before, NOW) == []
     assert list_settings_differences(before, Settings(plate={"contact": "patch"})) == [
-        'plate.contact began with "node", is "patch" now'
+        'plate.contact started with "node", is "patch" now'
     ]
 
 
@@ -37,7 +37,9 @@ def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before():
     before = stored_configuration()
     del before["alarms"]["decides_by"]
     unchanged = copy.deepcopy(before)
-    assert list_settings_differences(before, NOW) == ['alarms.decides_by began with "k_of_n", is "chart" now']
+    assert list_settings_differences(before, NOW) == [
+        'alarms.decides_by started with "k_of_n", is "chart" now'
+    ]
     by_sets = Settings(alarms={"decides_by": "k_of_n"})
     assert list_settings_differences(before, by_sets) == []
     assert restore_settings(before).configuration_hash() == by_sets.configuration_hash()
@@ -75,7 +77,7 @@ def test_a_position_is_named_where_it_differs_from_the_table_above():
     before = given.model_dump(mode="json")
     before["positions"]["B"]["chain"]["drop_height_m"] = 5e-3
     assert list_settings_differences(before, given) == [
-        "positions.B.chain.drop_height_m began with 0.005, is 0.0051 now"
+        "positions.B.chain.drop_height_m started with 0.005, is 0.0051 now"
     ]
 
 
@@ -84,7 +86,7 @@ def test_a_changed_default_is_a_change_of_meaning():
     before = stored_configuration()
     given = NOW.model_copy(update={"novelty": NoveltySettings(false_alarm_rate=0.01)})
     assert list_settings_differences(before, given) == [
-        "novelty.false_alarm_rate began with 0.0027, is 0.01 now"
+        "novelty.false_alarm_rate started with 0.0027, is 0.01 now"
     ]
 
 
@@ -92,7 +94,7 @@ def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch):
     monkeypatch.setenv("SOLIMON_CHAIN__DROP_HEIGHT_M", "5.1e-3")
     assert list_settings_differences(stored_configuration(), NOW) == []
     assert list_settings_differences(stored_configuration(), Settings()) == [
-        "chain.drop_height_m began with 0.005, is 0.0051 now"
+        "chain.drop_height_m started with 0.005, is 0.0051 now"
     ]
 
 
@@ -103,8 +105,8 @@ def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it():
     before["web"]["port"] = -1
     before["positions"]["B"]["plate"]["ghost"] = before["plate"]["ghost"] = [1, 2]
     assert list_settings_differences(before, NOW) == [
-        "novelty.ghost began with 3; this version has no such key",
-        "plate.ghost began with [1, 2]; this version has no such key",
+        "novelty.ghost started with 3; this version has no such key",
+        "plate.ghost started with [1, 2]; this version has no such key",
     ]
 
 
@@ -142,7 +144,7 @@ def test_a_renamed_table_takes_its_keys_along(monkeypatch):
     before["judgement"] = {**before.pop("novelty"), "false_alarm_rate": 0.01}
     unchanged = copy.deepcopy(before)
     assert list_settings_differences(before, NOW) == [
-        "novelty.false_alarm_rate began with 0.01, is 0.0027 now"
+        "novelty.false_alarm_rate started with 0.01, is 0.0027 now"
     ]
     assert before == unchanged
 

@@ -81,7 +81,7 @@ def test_names_of_valid_tokens_are_unique(tokens):
         revoke_token(tokens, "ann")
     assert create_token(tokens, "ann", "admin")[0].role == "admin"
     assert len(read_tokens(tokens)) == 1
-    with pytest.raises(UsageError, match="no name of a token"):
+    with pytest.raises(UsageError, match="not a valid token name"):
         create_token(tokens, "../ann", "admin")
 
 
@@ -99,7 +99,7 @@ def test_a_running_service_follows_the_token_file_and_rejects_all_without_it(tok
         now_s[0] += 2.0
         assert known.asked_for, "no change of the file opens the doors"
         assert not known.has_valid_token("ann", "viewer")
-    with pytest.raises(StorageError, match="no file of access tokens"):
+    with pytest.raises(StorageError, match="not a file of access tokens"):
         read_tokens(tokens)
 
 

@@ -72,7 +72,7 @@ def test_two_names_for_one_shot_are_refused_with_the_names_found(tmp_path, names
     with pytest.raises(ConfigurationError) as refusal:
         found(path)
     assert message in str(refusal.value)
-    assert f"its channels are: {', '.join(sorted(names))}; say which" in str(refusal.value)
+    assert f"its channels are: {', '.join(sorted(names))}; assign it by" in str(refusal.value)
 
 
 def test_a_name_for_two_positions_is_refused(tmp_path):

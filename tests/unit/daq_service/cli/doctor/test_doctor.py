@@ -306,7 +306,7 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
     assert found.found == f"sets/{lost.name} is missing; sets/{emptied.name} is empty"
     other = by_name(check_storage(small_settings(twin={"seed": 2}), tmp_path))
     assert other["data folder: configuration"].state == "fail"
-    assert "belongs to the experiment" in other["data folder: configuration"].found
+    assert "belongs to the test" in other["data folder: configuration"].found
 
 
 def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
@@ -319,7 +319,7 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
     assert f"`solimon rebuild --data-dir {tmp_path}` makes it again" in own["data folder: catalogue"].found
     other = by_name(check_storage(small_settings(twin={"seed": 2}), tmp_path))
     assert other["data folder: configuration"].state == "fail"
-    assert "belongs to the experiment" in other["data folder: configuration"].found
+    assert "belongs to the test" in other["data folder: configuration"].found
 
 
 @pytest.mark.parametrize(

@@ -158,8 +158,8 @@ def test_the_text_output_has_baseline_limits_and_alarms(tables):
         ("a.csv", "# a,b", "empty"),
         ("a.csv", "a;b\n12.040,9;1.000,5", "with '12.040,9', '1.000,5' in row 0: a number has"),
         ("a.csv", b"a,b\n1,2\n20 \xb0C,1", "in UTF-8: byte 4 of line 3 is 0xb0; save it as UTF-8"),
-        ("a.npy", "no array", "no .npy file"),
-        ("a.parquet", "no table", "no Parquet file"),
+        ("a.npy", "no array", "not a .npy file"),
+        ("a.parquet", "no table", "not a Parquet file"),
     ],
 )
 def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
@@ -322,8 +322,8 @@ def test_words_for_missing_values_are_recognized_and_unnamed_columns_skipped(tmp
 
 def test_arguments_without_a_baseline_are_rejected(tables):
     path = tables[".csv"]
-    assert "say what is the baseline" in rejection_message(path)
-    assert "say what is the baseline" in rejection_message(
+    assert "the baseline is not given" in rejection_message(path)
+    assert "the baseline is not given" in rejection_message(
         path, "--baseline-rows", 3, "--baseline-where", "a=b"
     )
     assert "COLUMN=VALUE" in rejection_message(path, "--baseline-where", "part")
@@ -375,7 +375,7 @@ def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(t
     assert "fleet of 7 sensors, 6 assessed" in output
     assert "fewer than 20 sensors: what they share is not taken out" in output
     every = describe_fleet(fleet)
-    assert "look at    " in every
+    assert "inspect    " in every
     assert "all move   rows 20" in every
     assert "by what all share" in every
 
@@ -450,17 +450,17 @@ def test_thousands_and_decimals_with_the_same_mark_are_refused(tmp_path, vectors
 
 
 LEFT_OUT = {
-    "note": (["wet", *["-"] * 119], "most of its cells are no numbers", "wet"),
+    "note": (["wet", *["-"] * 119], "most of its cells are not numbers", "wet"),
     "Index": ([7] * 120, "by its name an index, a time or an identifier", "7"),
     "sensor_id": ([7] * 120, "by its name an index, a time or an identifier", "7"),
     "Time [s]": ([7] * 120, "by its name an index, a time or an identifier", "7"),
-    "when": (["2026-11-26 13:05"] * 120, "most of its cells are no numbers", "2026-11-26 13:05"),
+    "when": (["2026-11-26 13:05"] * 120, "most of its cells are not numbers", "2026-11-26 13:05"),
     "day": (["26.11.2026"] * 120, "by its name an index, a time or an identifier", "26.11.2026"),
-    "clock": (["13:05:10"] * 120, "most of its cells are no numbers", "13:05:10"),
-    "part": (["0012", "0007"] * 60, "identifiers: whole numbers that begin with 0", "0012"),
-    "place": (["1_2"] * 120, "most of its cells are no numbers", "1_2"),
-    "hash": (["3f2a", "12e3", "b7c0"] * 40, "most of its cells are no numbers", "3f2a"),
-    "version": (["1.2.3"] * 120, "most of its cells are no numbers", "1.2.3"),
+    "clock": (["13:05:10"] * 120, "most of its cells are not numbers", "13:05:10"),
+    "part": (["0012", "0007"] * 60, "identifiers: integers that start with 0", "0012"),
+    "place": (["1_2"] * 120, "most of its cells are not numbers", "1_2"),
+    "hash": (["3f2a", "12e3", "b7c0"] * 40, "most of its cells are not numbers", "3f2a"),
+    "version": (["1.2.3"] * 120, "most of its cells are not numbers", "1.2.3"),
     "uptime": ([k * k for k in range(120)], "it only rises or only falls, as an index or a time does", "0"),
     "stamp": (
         [1_700_000_000 - k // 2 for k in range(120)],

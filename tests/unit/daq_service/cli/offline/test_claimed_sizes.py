@@ -25,9 +25,9 @@ def test_an_array_larger_than_its_file_or_a_pickle_is_refused(tmp_path, shape, k
     path = tmp_path / "small.npy"
     _npy(path, shape, kind)
     tracemalloc.start()
-    with pytest.raises(UsageError, match=r"no \.npy file"):
+    with pytest.raises(UsageError, match=r"not a \.npy file"):
         open_records(path, FileParameters())
-    with pytest.raises(UsageError, match=r"no \.npy file"):
+    with pytest.raises(UsageError, match=r"not a \.npy file"):
         read_table(path, features=(), baseline_rows=1, baseline_where=None)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -177,7 +177,7 @@ def test_a_table_with_samples_in_rows_is_rejected(tmp_path):
 def test_numbers_that_are_not_finite_are_refused(option):
     answer = CliRunner().invoke(cli, ["features", "none.npy", option, "nan"])
     assert answer.exit_code == 2
-    assert f"Invalid value for '{option}': nan is no finite number" in answer.stderr
+    assert f"Invalid value for '{option}': nan is not a finite number" in answer.stderr
 
 
 def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
@@ -188,7 +188,7 @@ def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
     found = json.loads(answer.stdout)
     assert [row["file"] for row in found["records"]] == [str(good)] * 2
     assert [item["file"] for item in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
-    assert found["refused"][0]["reason"].endswith("no .npy file of numbers, records x samples")
+    assert found["refused"][0]["reason"].endswith("not a .npy file of numbers, records x samples")
     assert isinstance(answer.exception, UsageError)
 
 
@@ -235,7 +235,7 @@ def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, 
     ("name", "content", "message"),
     [
         ("records.txt", b"1,2,3", "not .txt"),
-        ("records.npy", b"hello", "no .npy file"),
+        ("records.npy", b"hello", "not a .npy file"),
         ("records.csv", b"", "holds no record"),
         ("records.csv", b"\xff\xfe\x00", "in UTF-8: byte 1 of line 1 is 0xff; save it as UTF-8"),
         ("records.csv", b"0.5,1.5\nso,many", "record 1: 'so,many'; a row is a record of numbers"),

@@ -111,7 +111,7 @@ def test_a_sweep_file_has_one_axis_per_column(tmp_path):
         (b"a,b\n1,2\n1\n", "shot 2 has 1 cells, the header 2"),
         (b"a,b\n1, \n", "shot 1 has an empty cell"),
         (b"a\n\xff\n", "UTF-8"),
-        (b'a\n"1\n', "no CSV"),
+        (b'a\n"1\n', "not a CSV"),
     ],
 )
 def test_an_invalid_sweep_file_is_rejected(content, message, tmp_path):
