@@ -247,8 +247,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path):
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
     assert line_of(lines, "baseline") == f"baseline  D: NOT ASSESSED: {reason}"
     page = build_report_page(tmp_path).decode()
-    open("/tmp/page.html", "w").write(page)
-    assert re.search(rf">not assessed</td>\s*<td[^>]*>not judged: {reason}</td>", page)
+    assert f"<p>Not assessed: {reason}.</p>" in page
     filled.close()
 
 
