@@ -118,7 +118,7 @@ def raise_if_other_record(
     text, other_text = describe_experiment(row), describe_experiment(other_row)
     if text != other_text:
         raise OtherExperimentError(
-            f"{folder} holds two experiments: {name} is of {text}, {other_name} of {other_text}; "
+            f"{folder} holds two tests: {name} is of {text}, {other_name} of {other_text}; "
             "take out what does not belong here, or choose another folder with --data-dir"
         )
 
