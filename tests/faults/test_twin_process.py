@@ -96,9 +96,19 @@ def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
     assert "not computed ahead any more" in caplog.text
 
 
-def test_progress_is_reported_until_the_twin_is_prepared():
-    reports = []
-    transducers = prepare_twin(SETTINGS, None, lambda what, begins: reports.append((what, begins)))
+def test_progress_is_reported_until_the_twin_is_prepared(monkeypatch):
+    reports, is_reported = [], threading.Event()
+
+    def report(what, begins):
+        reports.append((what, begins))
+        is_reported.set()
+
+    def build_after_a_report(settings):  # with loops in the cache all may be ready before the first report
+        assert is_reported.wait(60.0)
+        return build_transducers(settings)
+
+    monkeypatch.setattr("daq_service.rig.twin.build_transducers", build_after_a_report)
+    transducers = prepare_twin(SETTINGS, None, report)
     assert list(transducers) == list(build_transducers(SETTINGS))
     assert re.fullmatch(rf"{PREPARING}: part [123] of 3, \d+ s", reports[0][0])
     assert reports[-1] == (PREPARING, False)
