@@ -17,8 +17,8 @@ from daq_service.alarms.states import (
     Evidence,
     describe_alarm,
     fill_text,
-    format_model_probability,
     format_number,
+    format_probability,
 )
 from daq_service.catalogue.rows import AlarmRow, BaselineRow
 from daq_service.clock import format_utc
@@ -127,7 +127,7 @@ def _describe_signal_change(evidence: Evidence) -> Iterator[str]:
         for name, change in (details.get("changes") or {}).items()
     ]
     probabilities = [
-        f"{cause.upper()} {format_model_probability(value).removeprefix('model: ')}"
+        f"{cause.upper()} {format_probability(value)}"
         for cause, value in (details.get("probabilities") or {}).items()
     ]
     rule_is_verified, reason = evidence.get("rate_verified"), evidence.get("rate_not_verified_reason")

@@ -335,11 +335,11 @@ def fill_text(template: str, values: Evidence, *, missing: str = "") -> str:
         return ""
 
 
-def format_model_probability(probability: float) -> str:
-    """Format a probability of the diagnosis model: "model: 97 %", rounded down, "< 1 %" to "> 99 %"."""
+def format_probability(probability: float) -> str:
+    """Format a probability of the diagnosis model in whole percent, rounded down: "< 1 %" to "> 99 %"."""
     if probability > 0.99:
-        return "model: > 99 %"
-    return f"model: {math.floor(100.0 * probability):d} %" if probability >= 0.01 else "model: < 1 %"
+        return "> 99 %"
+    return f"{math.floor(100.0 * probability):d} %" if probability >= 0.01 else "< 1 %"
 
 
 def format_number(value: float) -> str:
@@ -400,7 +400,8 @@ def _derive_values(evidence: Evidence) -> dict[str, object]:
     low_m, high_m = evidence.get("interval_m") or (None, None)
     probability = evidence.get("diagnosis_probability")
     return {
-        "model": None if probability is None else format_model_probability(probability),
+        "diagnosed": "In two consecutive sets" if evidence.get("raised_by") == "diagnosis" else None,
+        "model": None if probability is None else f"model: {format_probability(probability)}",
         "low_mm": None if low_m is None else 1e3 * low_m,
         "high_mm": None if high_m is None else 1e3 * high_m,
         "n_files": n_files or None,

@@ -7,7 +7,7 @@ from typing import Any
 
 from analysis.diagnosis.diagnose import UNDETERMINED, Diagnosis
 from analysis.diagnosis.hypotheses import CAUSES, OK
-from daq_service.alarms.states import TEXTS, format_model_probability
+from daq_service.alarms.states import TEXTS, format_probability
 
 
 def build_operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
@@ -56,5 +56,5 @@ def format_diagnosis(
     if row_cause is None or details is None or probability is None:
         return ""
     # If undetermined, the probability is that of the likeliest cause, which is not shown.
-    percent = f" ({format_model_probability(probability)})" if row_cause in (OK, *CAUSES) else ""
+    percent = f" (model: {format_probability(probability)})" if row_cause in (OK, *CAUSES) else ""
     return f"{row_cause.upper()}{percent}: {details['sentence']}; {details['action']}"

@@ -37,7 +37,7 @@ class Documentation(StaticFiles):
         if not SITE.is_dir():
             raise not_found(
                 "The documentation site is not built.",
-                "Run `zensical build --strict` in the repository, then reload this page.",
+                'Run `python -m pip install -e ".[docs]"` and `zensical build --strict` in the repository.',
             )
 
     async def get_response(self, path: str, scope: Scope) -> Response:

@@ -11,6 +11,7 @@ import pytest
 from support.browser_pages import expect
 from support.built_site import build_site
 from support.served_web import served, served_app
+from support.waiting import until
 
 from daq_service.settings.tree import Settings
 from daq_service.web import documentation
@@ -162,8 +163,16 @@ def test_without_a_built_site_the_answer_names_the_command_that_builds_it(tmp_pa
 def test_the_search_finds_a_term_and_leads_to_its_page(service, open_page):
     page = open_page(f"{service.url}docs/tutorial/")
     page.wait_for_function("[...document.querySelectorAll('div')].some(one => one.shadowRoot)")
-    page.keyboard.press("Control+k")
-    page.locator("input:visible").fill("Mahalanobis")
+    search = page.locator("input:visible")
+
+    def opens():  # a key that comes before the dialog listens is lost
+        if not search.count():
+            page.keyboard.press("Control+k")
+            page.evaluate("new Promise(requestAnimationFrame)")
+        return search.count()
+
+    until(opens, "the dialog of the search")
+    search.fill("Mahalanobis")
     result = page.locator("a", has_text="Glossary").filter(has_text="Mahalanobis")
     expect(result.first).to_be_visible()
     result.first.click()

@@ -39,7 +39,7 @@ def filled(tmp_path_factory):
         def with_outliers(position, index, hour):
             row = make_assessment(position, index, hour)
             if position == "C" and index == N_SETS - 1:
-                row = replace(row, diagnosis="wall", diagnosis_probability=0.972, diagnosis_details={})
+                row = replace(row, diagnosis="wall", diagnosis_probability=0.996, diagnosis_details={})
             if position == "D" and index in OUTLIERS:
                 row = replace(row, distance_squared=400.0, outlier=True)
             return row
@@ -159,13 +159,13 @@ def test_without_an_alarm_the_headline_has_the_age_of_the_newest_set(tmp_path, o
 def test_a_tile_has_the_statistic_of_its_alarm_a_sparkline_and_the_interval_of_a_thickness(filled, page):
     sized(page, DESK)
     tile = {position: page.locator(f'#tiles [data-position="{position}"]') for position in "ABCD"}
-    expect(tile["C"].locator(".figure")).to_have_text("97 %")
+    expect(tile["C"].locator(".figure")).to_have_text("> 99 %")
     expect(tile["C"]).to_contain_text("model: wall")
     expect(tile["B"].locator(".figure")).to_have_text(re.compile(r"^[\d.]+ \S limit$"))
     expect(tile["B"]).to_contain_text(re.compile(rf"control chart [\d.]+, limit {LIMIT_CHART:g}"))
     wall = filled.thickness(N_SETS - 1, filled.due[N_SETS - 1].due_h)
     low, high = (1e3 * wall[name] for name in ("interval_low_m", "interval_high_m"))
-    expect(tile["A"]).to_contain_text(f"{low:.2f} to {high:.2f} mm (95 %)")
+    expect(tile["A"]).to_contain_text(f"{low:.2f} to {high:.2f} mm (95 %, probe delay assumed)")
     for one in tile.values():
         left, top, right, bottom = one.locator(".sparkline").evaluate(
             "(svg) => { const {x, y, width, height} = svg.getBBox(); return [x, y, x + width, y + height] }"

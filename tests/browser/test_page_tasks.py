@@ -152,7 +152,7 @@ def is_the_thickness_with_its_interval(page, api, filled):
     assert wall["set_index"] == LAST
     tile = page.locator('#tiles [data-position="A"]')
     expect(tile).to_contain_text(f"{1e3 * wall['thickness_m']:.2f} mm")
-    interval = f"{1e3 * wall['interval_low_m']:.2f} to {1e3 * wall['interval_high_m']:.2f} mm (95 %)"
+    interval = f"{1e3 * wall['interval_low_m']:.2f} to {1e3 * wall['interval_high_m']:.2f} mm (95 %, "
     expect(tile).to_contain_text(interval)
     expect(tile).to_contain_text(wall["quality"])
 

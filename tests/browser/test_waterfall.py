@@ -328,6 +328,17 @@ def test_a_probe_has_a_thickness_axis_and_a_table(shared):
     expect(page.locator("#set")).to_have_attribute("data-set", f"A {N_SETS - 1}")
 
 
+def test_a_position_chosen_and_left_at_once_leaves_the_image(shared):
+    light(shared)
+    shared.evaluate("""() => {
+      for (const position of ["C", "B"]) {
+        history.pushState(null, "", `?position=${position}&theme=light`);
+        dispatchEvent(new PopStateEvent("popstate"));
+      }
+    }""")
+    assert drawn(shared, "the image of B is back")["header"]["position"] == "B"
+
+
 def test_the_view_continues_while_sets_arrive(filled, shared):
     page = shared
     light(page)

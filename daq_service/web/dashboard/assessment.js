@@ -7,6 +7,12 @@ export function limitOf(assessment) {
   return assessment.limits?.[assessment.limit_name] ?? columnLimit;
 }
 
+/** Return a probability of the diagnosis model, rounded down, "< 1 %" to "> 99 %". @param {number} probability */
+export function probabilityText(probability) {
+  if (probability > 0.99) return "> 99 %";
+  return probability < 0.01 ? "< 1 %" : `${Math.floor(100 * probability)} %`;
+}
+
 /**
  * Return the diagnosis of a change with its probability; an undetermined one has none.
  *
@@ -15,6 +21,6 @@ export function limitOf(assessment) {
  */
 export function diagnosisText(assessment) {
   const probability =
-    assessment.diagnosis === "undetermined" ? "" : ` (${Math.round(100 * assessment.diagnosis_probability)} %)`;
+    assessment.diagnosis === "undetermined" ? "" : ` (${probabilityText(assessment.diagnosis_probability)})`;
   return `${assessment.diagnosis}${probability}`;
 }

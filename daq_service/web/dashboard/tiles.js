@@ -3,7 +3,7 @@
 import { el, setText } from "./dom.js";
 import { NONE, duration, fixed, hour, quantity, significant, time } from "./format.js";
 import { STATES, chip } from "./icons.js";
-import { diagnosisText, limitOf } from "./assessment.js";
+import { diagnosisText, limitOf, probabilityText } from "./assessment.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const [WIDTH, HEIGHT] = [120, 36];
@@ -234,7 +234,7 @@ export class Tiles {
     const alarm = this.alarms.get(position);
     const probability = assessment?.diagnosis_probability ?? null;
     if (alarm?.evidence.raised_by === "diagnosis" && probability !== null && assessment.diagnosis !== "undetermined")
-      return { figure: `${Math.round(100 * probability)} %`, note: `model: ${assessment.diagnosis}` };
+      return { figure: probabilityText(probability), note: `model: ${assessment.diagnosis}` };
     const [value, limit, name] = this.chartDecides
       ? [assessment?.mewma_statistic, assessment?.limits?.mewma, "control chart"]
       : [assessment?.distance_squared, assessment ? limitOf(assessment) : null, "D²"];
@@ -283,18 +283,17 @@ export class Tiles {
     const row = state.last_thickness;
     const initial =
       row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
-    const assumed = this.info?.probe_delay_is_assumed ? ", assumed" : "";
+    const assumed = this.info?.probe_delay_is_assumed ? ", probe delay assumed" : "";
     const lost = initial ? `, ${fixed((100 * row.thickness_loss_m) / initial, 0)} %` : "";
     const [low, high] = [row?.interval_low_m ?? null, row?.interval_high_m ?? null];
     const interval =
       low === null || high === null
         ? "wall thickness"
-        : `${fixed(1e3 * low, 2)} to ${quantity(high, 1e3, 2, "mm")} (95 %)`;
+        : `${fixed(1e3 * low, 2)} to ${quantity(high, 1e3, 2, "mm")} (95 %${assumed})`;
     return this.body(state, quantity(row?.thickness_m, 1e3, 2, "mm"), interval, [
       ["Wall loss", `${quantity(row?.thickness_loss_m, 1e3, 2, "mm")}${lost}`],
       ["Limit", quantity(this.minimumWall(state.position), 1e3, 2, "mm")],
       ["Travel time", quantity(row?.travel_time_s, 1e6, 3, "µs")],
-      ["Probe delay", `${quantity(this.info?.probe_delay_s, 1e6, 2, "µs")}${assumed}`],
       ["Quality", row?.quality ?? NONE],
     ]);
   }

@@ -6,7 +6,6 @@ A page is one file without scripts: `base.html.j2` has head and style, `macros.h
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from daq_service.alarms.states import format_probability
 from daq_service.clock import format_utc
 
 NOT_KNOWN = "not available"
@@ -47,7 +47,7 @@ def _create_environment() -> Environment:
         "plain": format_plain_text,
         "quantity": format_quantity,
         "significant": format_significant,
-        "percent": format_percent,
+        "percent": format_probability,
         "utc": lambda utc_ns: f"{format_utc(utc_ns, 0)[:16].replace('T', ' ')} UTC",
         "words": lambda name: name.replace("_", " "),
     }
@@ -65,11 +65,6 @@ def format_quantity(value: float | None, factor: float = 1.0, digits: int = 2, u
 def format_significant(value: float | None, digits: int = 4) -> str:
     """Format a number with ``digits`` significant digits; `NOT_KNOWN` for None."""
     return NOT_KNOWN if value is None else f"{value:.{digits}g}"
-
-
-def format_percent(probability: float) -> str:
-    """Format a probability in whole percent, rounded down; at most ``> 99 %``."""
-    return "> 99 %" if probability > 0.99 else f"{math.floor(100.0 * probability)} %"
 
 
 def format_plain_text(value: object) -> str:

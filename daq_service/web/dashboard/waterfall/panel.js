@@ -210,7 +210,8 @@ export class SolimonWaterfall extends HTMLElement {
     this.toggle.setAttribute("aria-pressed", String(this.showsTable()));
     this.tableBox.hidden = !this.showsTable();
     this.box.hidden = this.showsTable();
-    if (this.image && this.image.header.position !== view.position) this.loader.image = null;
+    if (this.image && this.image.header.position !== view.position)
+      Object.assign(this.loader, { image: null, answeredQuestion: "" });
     this.draw();
     this.loader.schedule();
   }

@@ -11,8 +11,8 @@ from daq_service.alarms.states import (
     TEXTS,
     build_alarm_texts,
     describe_alarm,
-    format_model_probability,
     format_number,
+    format_probability,
 )
 
 VALUES: dict[str, Any] = {
@@ -109,6 +109,14 @@ def test_a_long_value_is_cut_and_a_missing_one_is_a_dash(kind, variant):
             ),
         ),
         (
+            "wall_change",
+            {"diagnosis": "wall", "raised_by": "diagnosis", "mewma_statistic": 6.69},
+            (
+                "B: signal change, probable wall thinning (model: 97 %). In two consecutive sets; control "
+                "chart 6.69, limit 61.0 (hour 55.5). Inspect the wall at B."
+            ),
+        ),
+        (
             "thickness_low",
             {},
             (
@@ -150,15 +158,15 @@ def test_a_stored_message_is_shown_and_an_unknown_kind_has_its_name():
 @pytest.mark.parametrize(
     ("probability", "text"),
     [
-        (0.978, "model: 97 %"),
-        (0.99, "model: 99 %"),
-        (0.9901, "model: > 99 %"),
-        (1.0, "model: > 99 %"),
-        (0.009, "model: < 1 %"),
+        (0.978, "97 %"),
+        (0.99, "99 %"),
+        (0.9901, "> 99 %"),
+        (1.0, "> 99 %"),
+        (0.009, "< 1 %"),
     ],
 )
 def test_a_probability_is_rounded_down(probability, text):
-    assert format_model_probability(probability) == text
+    assert format_probability(probability) == text
 
 
 @pytest.mark.parametrize(

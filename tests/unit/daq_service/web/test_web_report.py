@@ -30,7 +30,6 @@ from daq_service.web.report.figures import GREEN, draw_position_figure
 from daq_service.web.routes import report as route
 from daq_service.web.templates import (
     _create_environment,
-    format_percent,
     format_quantity,
 )
 
@@ -206,10 +205,6 @@ def test_a_rate_is_described_with_the_reason_why_it_is_not_verified():
     assert describe(None, alarms) == describe(frozen_baseline("B"), alarms) == "not available"
     by_count = alarms.model_copy(update={"decides_by": "k_of_n"})
     assert describe(row, by_count) == "no design rate: alarm at 3 of 5 sets"
-
-
-def test_probabilities_are_rounded_down():
-    assert [format_percent(value) for value in (0.9999, 0.979, 0.004)] == ["> 99 %", "97 %", "0 %"]
 
 
 def test_hostile_text_is_shown_as_text(tmp_path):
