@@ -25,7 +25,7 @@ from statistics import median
 
 CACHES = {"NUMBA_CACHE_DIR": "machine-code", "XDG_CACHE_HOME": "reductions", "LOCALAPPDATA": "reductions"}
 """Where machine code and reduced plates are kept (`numerics.array_cache`), and a folder for each."""
-MOMENTS = {"first_line": rb"\S", "address": rb"http://\S+/", "first_row": rb"set \d+ of \d+"}
+MOMENTS = {"first_line": rb"\S", "address": rb"http://\S+/", "first_row": rb"\d+ of \d+ sets"}
 """The text that marks each moment."""
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import runpy
 import shutil
 import signal
 import socket
@@ -23,6 +24,7 @@ if missing := find_missing_terminal_reason():
 from support.pseudo_terminal import on_terminal
 
 PICTURES = Path(__file__).with_name("terminal")
+FIRST_MINUTE = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "first_minute.py"))
 # A coarse mesh and half of the strikes: what is shown counts.
 QUICK = {
     "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
@@ -160,7 +162,7 @@ def test_the_first_compilation_is_reported_while_it_runs_and_by_one_line(tmp_pat
     with on_terminal(command, {**environment, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         terminal.until(rf"{what}: part [123] of 3, [1-9]\d* s")
         terminal.until(rf"{what}: took \d+ s")
-        terminal.until(r"set \d+ of \d+")
+        terminal.until(r"\d+ of \d+ sets")
         terminal.interrupt()
     lines = [line for line in terminal.shown() if "took" in line]
     assert len(lines) == 1
@@ -174,6 +176,7 @@ def test_ctrl_c_after_the_end_of_a_demo_is_no_interruption(tmp_path):
         terminal.until("The test is done")
         assert terminal.interrupt() == 0
     assert f"The test is complete; its data are in {folder}." in terminal.shown()
+    assert all(re.search(text, terminal.written.encode()) for text in FIRST_MINUTE["MOMENTS"].values())
 
 
 @pytest.mark.parametrize("words", [("demo",), ("run",)])
