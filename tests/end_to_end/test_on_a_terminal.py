@@ -201,7 +201,7 @@ def test_demo_opens_its_page_on_a_computer_with_a_screen(tmp_path, option):
         terminal.until(r"dashboard: \S+ .*\)")
         (url,) = re.findall(r"dashboard: (\S+)", terminal.written)
         if not option:
-            until(opened.exists, "the browser's start")
+            until(lambda: opened.exists() and opened.read_text(encoding="utf-8"), "the browser's start")
         assert terminal.interrupt() == 130
     assert ("opened in your browser" in terminal.written) == (not option)
     assert opened.exists() == (not option)
