@@ -15,11 +15,14 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from simulator.doubles.chassis.description import build_default_description, read_description
-from simulator.doubles.device_model import Brain
-from simulator.doubles.transports.control_server import ControlServer
-from simulator.doubles.transports.grpc_front import GrpcFront, find_unavailability_reason
-from simulator.doubles.transports.server import WireServer
+try:
+    from simulator.doubles.chassis.description import build_default_description, read_description
+    from simulator.doubles.device_model import Brain
+    from simulator.doubles.transports.control_server import ControlServer
+    from simulator.doubles.transports.grpc_front import GrpcFront, find_unavailability_reason
+    from simulator.doubles.transports.server import WireServer
+except ModuleNotFoundError as error:
+    sys.exit(f'the doubles run the twin; {error}: pip install "solimon[twin]"')
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,6 +9,7 @@ import pytest
 from support.browser_pages import PHONE, expect
 from support.command_line import SOLIMON
 from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, quick_description
+from support.pictures import DOCS, compress_picture
 from support.pseudo_terminal import on_terminal
 from support.waiting import until
 
@@ -40,6 +41,7 @@ DESCRIPTION = replace(
     twin=replace(QUICK_TWIN, noise=NoiseParameters()),
 )
 PULSE_S = 0.01
+PICTURE = DOCS / "pictures" / "set-up.png"
 ONE_SET = {
     "SOLIMON_SCHEDULE__PHASES": '[{"until_h": 0.0001, "interval_h": 0.0001}]',
     "SOLIMON_SCHEDULE__SHOTS_PER_SET": "2",
@@ -99,6 +101,8 @@ def test_terminal_and_page_lead_from_nothing_to_a_first_good_set(doubles, open_p
         terminal.until(r"B .* wave of 2\.\d+ V")
         terminal.until("Strike B once", times=2)
         assert coil_pulses_s(doubles.control.record()) == [pytest.approx(PULSE_S, abs=1e-8)]
+        if os.environ.get("SOLIMON_TEST_PICTURES") == "keep":
+            PICTURE.write_bytes(compress_picture(page.screenshot(), "the set-up page after a strike"))
 
         page.set_viewport_size(PHONE)
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

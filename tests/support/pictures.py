@@ -116,7 +116,9 @@ def make(folder: Path, pictures: Sequence[Picture] = PICTURES) -> None:
                 with _page(browser, data, picture) as (page, api):
                     taken = _taken(page, api, picture)
                     path.write_bytes(
-                        page.pdf(format="A4") if path.suffix == ".pdf" else _small(taken, source_of(picture))
+                        page.pdf(format="A4")
+                        if path.suffix == ".pdf"
+                        else compress_picture(taken, source_of(picture))
                     )
             else:
                 screen = began if picture.of == "demo" else _on_terminal(picture.of, "--data-dir", str(data))
@@ -176,7 +178,8 @@ def _wait_for_charts(page: Any, api: httpx2.Client, picture: Picture) -> None:
     expect(page.locator("#waterfall")).not_to_contain_text("sets are loading")
 
 
-def _small(png: bytes, description: str) -> bytes:
+def compress_picture(png: bytes, description: str) -> bytes:
+    """Return a PNG with a palette of `COLOURS` and a description."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
