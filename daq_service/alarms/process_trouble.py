@@ -1,24 +1,25 @@
-"""Alarms of a process that does not run, raised by another one."""
+"""Alarms of a process that does not run, or whose computer clock is unverified."""
 
 from __future__ import annotations
 
 from daq_service.alarms.states import Condition
 
+CLOCK_UNVERIFIED = "clock_unverified"
 RECORDER_NOT_RUNNING = "recorder_not_running"
 WEB_NOT_RESPONDING = "web_not_responding"
 
 
-def build_recorder_condition(finding: str) -> Condition:
-    """Return the condition ``recorder_not_running`` (priority high), present if there is a ``finding``.
+def build_reason_condition(kind: str, reason: str) -> Condition:
+    """Return the condition `CLOCK_UNVERIFIED` or `RECORDER_NOT_RUNNING` (priority high).
 
     Parameters
     ----------
-    finding
-        Evidence that no recorder runs; empty: not present.
+    kind
+        Which of the two; with an unverified clock the recorder waits.
+    reason
+        Evidence of an unverified clock, or that no recorder runs; empty: the condition is not present.
     """
-    return Condition(
-        kind=RECORDER_NOT_RUNNING, priority="high", present=bool(finding), evidence={"reason": finding}
-    )
+    return Condition(kind=kind, priority="high", present=bool(reason), evidence={"reason": reason})
 
 
 def build_web_condition(*, present: bool) -> Condition:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq_service.alarms import states
-from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
 from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge_alarm, reset_alarm
+from daq_service.alarms.process_trouble import CLOCK_UNVERIFIED
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import WallClock
 from daq_service.settings.foreign_text import WRITTEN, require_visible_text

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq_service.acquisition.schedule import list_due_hours
-from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recorder_condition
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_reason_condition
 from daq_service.alarms.states import Moment, update_alarm
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow
@@ -135,9 +135,8 @@ class RecorderWatch:
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
-            change = update_alarm(rows[-1] if rows else None, build_recorder_condition(finding), moment)
-            if change is None:
-                return
-            commit = SetCommit()
-            commit.add_alarm(change.row, change.event(moment))
-            catalogue.commit_set(commit)
+            condition = build_reason_condition(RECORDER_NOT_RUNNING, finding)
+            if change := update_alarm(rows[-1] if rows else None, condition, moment):
+                commit = SetCommit()
+                commit.add_alarm(change.row, change.event(moment))
+                catalogue.commit_set(commit)

@@ -6,7 +6,7 @@ import logging
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.alarms.clock_trouble import build_clock_condition
+from daq_service.alarms.process_trouble import CLOCK_UNVERIFIED, build_reason_condition
 from daq_service.clock import WallClock
 from daq_service.recording.opening import Opening
 from daq_service.recording.persistence import Persistence
@@ -38,7 +38,8 @@ def wait_for_verified_clock(
 
     def report_doubt(doubt: str) -> None:
         """Raise the alarm of the clock with a reason, or clear it with an empty one; store it or queue it."""
-        persistence.do(partial(assessor.update_alarm, build_clock_condition(doubt), resources.moment()))
+        condition = build_reason_condition(CLOCK_UNVERIFIED, doubt)
+        persistence.do(partial(assessor.update_alarm, condition, resources.moment()))
 
     def wait(reason: str) -> bool:
         """Log and report the first reason and run the work between sets; False if the recorder stops."""

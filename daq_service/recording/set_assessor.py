@@ -15,7 +15,7 @@ from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf, report_overdue_response
-from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_recorder_condition
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_reason_condition
 from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, build_rig_condition, find_connection_loss
 from daq_service.alarms.states import (
     ALARMS_OF_CHANGE,
@@ -197,7 +197,7 @@ class SetAssessor:
         if due.position is not None:
             return transaction
         if self._has_alarm_or_delay(None, RECORDER_NOT_RUNNING):
-            self.apply_alarm(build_recorder_condition(""), moment, transaction)
+            self.apply_alarm(build_reason_condition(RECORDER_NOT_RUNNING, ""), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(reasons.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
 from daq_service.alarms.guidance import GUIDANCE, name_contact
-from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
+from daq_service.alarms.process_trouble import CLOCK_UNVERIFIED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.corrosion_drive.drive import CONDITIONS
 from daq_service.settings.alarm_delays import CONTACTS

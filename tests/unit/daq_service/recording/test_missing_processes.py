@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.memory_line import Line
 
-from daq_service.alarms.process_trouble import build_recorder_condition
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, build_reason_condition
 from daq_service.alarms.states import Moment, update_alarm
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow
@@ -126,7 +126,8 @@ def raise_in_its_absence(line):
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         moment = Moment(utc_ns=0, due_h=0.0, set_index=None)
-        change = update_alarm(None, build_recorder_condition("3 restarts in 10 min"), moment)
+        condition = build_reason_condition(RECORDER_NOT_RUNNING, "3 restarts in 10 min")
+        change = update_alarm(None, condition, moment)
         catalogue.commit_set(SetCommit(alarms=[change.row]))
 
 
