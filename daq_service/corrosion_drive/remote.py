@@ -13,7 +13,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
@@ -65,7 +65,7 @@ class _Request:
 
     values: Message
     since_s: float
-    reply: Reply
+    reply: Reply = field(default_factory=Reply)
 
 
 class RemoteDrive:
@@ -215,9 +215,7 @@ class RemoteDrive:
 
     def _send_to_process(self, do: str, **values: object) -> None:
         """Send a request whose reply is not polled; OSError if the process is gone or does not read."""
-        self._send_request(
-            _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
-        )
+        self._send_request(_Request(values={"do": do, **values}, since_s=self._machine.mono_s()))
 
     def _send_request(self, request: _Request) -> None:
         """Send a request under a new number, and keep it until its answer or the loss of the connection.
@@ -330,7 +328,7 @@ class RemoteDrive:
         if do == "energise":
             within_s = round(self._parameters.read_timeout_s + COMES_WITHIN_S)
             values["until_boot_ns"] = self._machine.elapsed_ns() + within_s * NS_PER_S
-        request = _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
+        request = _Request(values={"do": do, **values}, since_s=self._machine.mono_s())
         self._unsent.append(request)
         self._next_check_s = min(self._next_check_s, self._machine.mono_s())
         self.tick()
@@ -378,26 +376,21 @@ class RemoteDrive:
         """
         answered = () if self._newest is None else self._newest["conditions"]
         conditions = {condition["name"]: DriveCondition(**condition) for condition in answered}
+
+        def activate(name: str, **values: object) -> None:
+            """Add a condition that is active, with these values."""
+            conditions[name] = DriveCondition(name=name, active=True, values=values)
+
         tripped = conditions.get("interlock_tripped")
         if self._tripped is not None and (tripped is None or not tripped.active):
-            conditions["interlock_tripped"] = DriveCondition(
-                name="interlock_tripped",
-                active=True,
-                values={"trip_reason": self._tripped, "unverified": True},
-            )
+            activate("interlock_tripped", trip_reason=self._tripped, unverified=True)
         if self._pending is not None or any(request.values["do"] != "energise" for request in self._unsent):
-            name = "supply_switch_off_pending"
-            conditions[name] = DriveCondition(
-                name=name, active=True, values={"read_error": "Its process does not respond"}
-            )
+            activate("supply_switch_off_pending", read_error="Its process does not respond")
         missing_s = self._machine.mono_s() - (self._started_s if self._newest is None else self._newest_s)
         is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
         if is_lost or missing_s >= longest_answer_time_s(self._parameters):
-            conditions["supply_not_responding"] = DriveCondition(
-                name="supply_not_responding",
-                active=True,
-                values={"silent_s": missing_s, "read_error": "its process does not respond"},
-            )
+            read_error = "its process does not respond"
+            activate("supply_not_responding", silent_s=missing_s, read_error=read_error)
         return tuple(conditions.values())
 
     def build_row(self, set_index: int, due_h: float) -> EnvironmentRow:

@@ -115,9 +115,7 @@ class DriveWatch:
         transaction = SetCommit()
         for drive_condition in self._yield_conditions():
             condition = Condition(
-                position=None,
                 kind=drive_condition.name,
-                alarm_class="diagnostic",
                 priority=CONDITIONS[drive_condition.name],
                 present=drive_condition.active,
                 evidence={**self.summarise_readings(), **drive_condition.values}
@@ -152,11 +150,7 @@ class DriveWatch:
 
         A missing supply or climate probe is marked as absent.
         """
-        row = (
-            build_absent_row(set_index, due_h)
-            if self._drive is None
-            else self._drive.build_row(set_index, due_h)
-        )
+        row = (build_absent_row if self._drive is None else self._drive.build_row)(set_index, due_h)
         return row if self._climate is None else self._climate.add_climate_to_row(row)
 
     # Commands ------------------------------------------------------------------------------------
@@ -243,15 +237,14 @@ class DriveWatch:
         return "the supply is off"
 
 
-def _restore_last_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
+def _restore_last_state(supply: DriveParameters, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Restore the supply's state from the newest environment row; return the default state without one.
 
     The interlock is restored as tripped only by an active alarm ``interlock_tripped``, with its reason.
     """
-    state = DriveState()
-    row = None if supply is None else catalogue.read_last_environment()
+    state, row = DriveState(), catalogue.read_last_environment()
     last_event = None if row is None else catalogue.read_last_event("environment")
-    if supply is not None and last_event is not None:
+    if last_event is not None:
         state = restore_drive_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
     tripped = alarms.get((None, "interlock_tripped"))
     is_active = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
