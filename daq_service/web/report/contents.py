@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
+from daq_service.web.tables.choice import find_last_hour_inside
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -51,16 +52,8 @@ MOST_LINES = 500
 """Limit for each of alarms, annotations, commands and the audit; the newest are shown."""
 OF_WAVES = ("set_index", "due_h", "tof_pp_s", "amplitude_ratio", "quality")
 OF_ASSESSMENTS = (
-    "due_h",
-    "distance_squared",
-    "limit_f_predictive",
-    "limit_mean_3sd",
-    "limit_name",
-    "limits",
-    "mewma_statistic",
-    "diagnosis_details",
-    "outlier",
-    "in_baseline",
+    *("due_h", "distance_squared", "limit_f_predictive", "limit_mean_3sd", "limit_name", "limits"),
+    *("mewma_statistic", "diagnosis_details", "outlier", "in_baseline"),
 )
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "interval_low_m", "interval_high_m", "quality")
 
@@ -180,10 +173,7 @@ def read_report_contents(
             raise UsageError(
                 f"the report would begin at {begin_h:g} h and end at {end_h:g} h; let it end later"
             )
-        filters: Filters = {
-            "first_h": from_h,
-            "last_h": None if to_h is None else math.nextafter(to_h, -math.inf),
-        }
+        filters: Filters = {"first_h": from_h, "last_h": find_last_hour_inside(to_h)}
         sets = {name: _read_sets_in_range(catalogue, name, filters) for name in settings.positions}
         latest = read_latest_rows(catalogue, fresh, settings.positions)
         positions = [
@@ -286,17 +276,10 @@ def _group_gaps(sets: Sequence[SetRow]) -> list[Gap]:
 
     Consecutive ones with the same state and reason become one gap.
     """
-    incomplete = [row for row in sets if row.state != "done"]
-    runs: list[list[SetRow]] = []
-    for before, row in pairwise([None, *incomplete]):
-        assert row is not None, "only the predecessor of the first is None"
-        continues = before is not None and (row.set_index, row.state, row.reason) == (
-            *(before.set_index + 1, before.state, before.reason),
-        )
-        if continues:
-            runs[-1].append(row)
-        else:
-            runs.append([row])
+    incomplete = enumerate(row for row in sets if row.state != "done")
+    # Index minus place in the list is the same for consecutive sets.
+    groups = groupby(incomplete, lambda item: (item[1].set_index - item[0], item[1].state, item[1].reason))
+    runs = [[row for _, row in group] for _, group in groups]
     return [
         Gap(
             position=run[0].position,
