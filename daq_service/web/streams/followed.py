@@ -10,12 +10,13 @@ from collections.abc import Callable
 class Followed:
     """Thread that follows a source, and wakes up streams that wait for the next change.
 
-    Everything but `_follow` runs on the event loop, so nothing needs a lock.
+    Everything but `_follow` runs on the event loop, so nothing needs a lock. ``closed``: `close` was called,
+    and clients must end.
     """
 
     def __init__(self, thread_name: str) -> None:
         self._thread_name = thread_name
-        self._closed = False
+        self.closed = False
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._waiting: list[asyncio.Future[None]] = []
@@ -29,7 +30,7 @@ class Followed:
 
     def close(self) -> None:
         """Request the end of the thread and wake every client, without waiting; may be called again."""
-        self._closed = True
+        self.closed = True
         self._stop.set()
         self._wake_clients()
 
@@ -38,17 +39,12 @@ class Followed:
         if self._thread is not None:
             await asyncio.to_thread(self._thread.join)
 
-    @property
-    def closed(self) -> bool:
-        """Return whether `close` was called, so that clients must end."""
-        return self._closed
-
     async def changed(self) -> None:
         """Wait until the data change or the source closes; return at once if it is closed.
 
         Called on the event loop. A change before the call is not noticed.
         """
-        if not self._closed:
+        if not self.closed:
             # One future per waiter: cancelling a shared one would cancel it for all.
             waiter = self._loop.create_future()
             self._waiting.append(waiter)

@@ -64,7 +64,10 @@ def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
 
 
 class EventHub(Followed):
-    """Ring of the newest events, with a wake-up for the next event or heartbeat."""
+    """Ring of the newest events, with a wake-up for the next event or heartbeat.
+
+    ``complete_after`` is the id after which the ring has every event; None until it is filled.
+    """
 
     def __init__(
         self,
@@ -81,7 +84,7 @@ class EventHub(Followed):
         self.heartbeat_interval_s = heartbeat_interval_s
         self._turns = asyncio.Semaphore(TURNS)
         self._events: list[EncodedEvent] = []
-        self._complete_after: int | None = None
+        self.complete_after: int | None = None
         self._heartbeat: asyncio.TimerHandle | None = None
 
     async def start(self) -> None:
@@ -96,14 +99,9 @@ class EventHub(Followed):
             self._heartbeat.cancel()
 
     @property
-    def complete_after(self) -> int | None:
-        """Return the id after which the ring has every event; None until it is filled."""
-        return self._complete_after
-
-    @property
     def last_id(self) -> int:
         """Return the id of the newest event in the ring; of an empty ring, ``complete_after`` or 0."""
-        return self._events[-1].id if self._events else (self._complete_after or 0)
+        return self._events[-1].id if self._events else (self.complete_after or 0)
 
     def after(self, event_id: int, limit: int | None = None) -> list[EncodedEvent]:
         """Return the oldest ``limit`` events of the ring after an id, ascending; all if ``limit`` is None."""
@@ -122,7 +120,7 @@ class EventHub(Followed):
 
     def _fill_ring(self, event_id: int, events: list[EncodedEvent]) -> None:
         """Replace the events of the ring, which has all after ``event_id``, and wake the clients."""
-        self._complete_after, self._events = event_id, events
+        self.complete_after, self._events = event_id, events
         self._wake_clients()
 
     def _append_events(self, events: list[EncodedEvent]) -> None:
@@ -130,7 +128,7 @@ class EventHub(Followed):
         self._events.extend(events)
         # Cut only at twice the size, so that the cost an event stays constant.
         if len(self._events) > 2 * self._ring_events:
-            self._complete_after = self._events[-self._ring_events - 1].id
+            self.complete_after = self._events[-self._ring_events - 1].id
             del self._events[: -self._ring_events]
         self._wake_clients()
 
