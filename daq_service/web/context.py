@@ -27,7 +27,7 @@ from daq_service.processes.heartbeat import WEB_BEATS_EVERY_S, WEB_DEADLINE_S, W
 from daq_service.processes.lost_catalogue import describe_loss
 from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.json_answer import add_utc, format_hour_as_rfc3339, format_rfc3339
+from daq_service.web.answers.json_answer import add_utc, format_rfc3339
 from daq_service.web.answers.problem import Problem, create_catalogue_lost, create_no_data_error, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.streams.hub import EventHub
@@ -227,10 +227,6 @@ class Freshness(freshness.Freshness):
             "recorder": self.recorder.status,
             "pace_h_per_s": None if self.recorder.beat is None else self.recorder.beat.pace_h_per_s,
         }
-
-    def format_utc_of_hour(self, hour: float) -> str | None:
-        """Format an hour of the test as RFC 3339 text, rounded to whole seconds after the epoch."""
-        return format_hour_as_rfc3339(self.epoch_utc_ns, hour)
 
     def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
         """Convert a row of the catalogue for an answer: RFC 3339 times, and its age in h if it has an hour.

@@ -576,15 +576,8 @@ class TrendBins(Answer):
 
 
 TREND_ASSESSMENTS = (
-    *(
-        "distance_squared",
-        "limit_f_predictive",
-        "limit_mean_3sd",
-        "outlier",
-        "outlier_mean_3sd",
-        "in_baseline",
-    ),
-    *("mewma_statistic", "reason"),
+    *("distance_squared", "limit_f_predictive", "limit_mean_3sd"),
+    *("outlier", "outlier_mean_3sd", "in_baseline", "mewma_statistic", "reason"),
 )
 """Columns of a trend from the assessment."""
 MEASURED_FIELDS = tuple(

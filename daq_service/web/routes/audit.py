@@ -130,11 +130,7 @@ def _build_audit_item(context: Context, number: int, entry: AuditEntry) -> dict[
 def _read_outcome(context: Context, command_id: int) -> str | None:
     """Return ``STATE: RESULT`` of a command; None if it is unknown or the catalogue cannot be read."""
     try:
-        state_and_time = read_command_state(context.catalogue_access.get(), command_id)
+        command = read_command_state(context.catalogue_access.get(), command_id)
     except SolimonError:
         return None
-    return (
-        None
-        if state_and_time is None
-        else f"{state_and_time[0].state}: {state_and_time[0].result or ''}".rstrip(": ")
-    )
+    return None if command is None else f"{command[0].state}: {command[0].result or ''}".rstrip(": ")

@@ -207,10 +207,7 @@ def _collect_positions(
 
     yield build_states("position_state", find_status, PositionStatus)
     yield build_states("quality", _read_quality, Quality)
-    yield build_gauge(
-        "stale",
-        lambda last: is_data_stale(schedule, fresh, find_data_age_h(last, fresh)),
-    )
+    yield build_gauge("stale", lambda last: is_data_stale(schedule, fresh, find_data_age_h(last, fresh)))
     yield build_gauge("data_age_seconds", compute_age_s)
     for name, row, column in VALUES:
         yield build_gauge(name, select_value(row, column))

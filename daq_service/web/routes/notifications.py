@@ -101,12 +101,8 @@ def _build_receiver_state(context: Context, queue: ReceiverQueue) -> dict[str, o
     Its address is without secrets; rules are counted from 1; times are RFC 3339, and the age of the last sent
     message is in s.
     """
-    settings, state, now_ns = (
-        context.notifications.settings.receivers[queue.name],
-        queue.state,
-        time.time_ns(),
-    )
-    rules = enumerate(context.notifications.settings.rules, start=1)
+    notifications, state, now_ns = context.notifications.settings, queue.state, time.time_ns()
+    settings, rules = notifications.receivers[queue.name], enumerate(notifications.rules, start=1)
     sent_ns = state.last_sent_utc_ns
     return add_utc(
         {

@@ -91,7 +91,4 @@ def revoke_access_token(
 
 def build_token_row(token: Token) -> dict[str, object]:
     """Return name, role, state and times of a token for an answer, without the hash of its text."""
-    return {
-        name: getattr(token, name)
-        for name in ("name", "role", "state", "created_utc", "expires_utc", "revoked_utc")
-    }
+    return {name: getattr(token, name) for name in TokenEntry.model_fields}

@@ -19,7 +19,7 @@ from daq_service.catalogue.rows import Row
 from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.processes import freshness
 from daq_service.settings.tree import PositionSettings, ScheduleSettings
-from daq_service.web.answers.json_answer import JsonAnswer, format_rfc3339
+from daq_service.web.answers.json_answer import JsonAnswer, format_hour_as_rfc3339, format_rfc3339
 from daq_service.web.answers.models import (
     EnvironmentNow,
     PositionList,
@@ -86,10 +86,11 @@ def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[s
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
     standing = assess_position(place, context.settings.schedule, fresh, last)
+    data_h = standing.data_h
     return {
         **standing.model_dump(),
         "serial_number": place.serial_number,
-        "data_utc": None if standing.data_h is None else fresh.format_utc_of_hour(standing.data_h),
+        "data_utc": None if data_h is None else format_hour_as_rfc3339(fresh.epoch_utc_ns, data_h),
         "last_set": _to_json_row(fresh, last.last_set),
         "last_feature": _to_json_row(fresh, last.last_feature),
         "last_thickness": _to_json_row(fresh, last.last_thickness),
