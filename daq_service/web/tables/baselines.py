@@ -10,6 +10,7 @@ from analysis.waves.features import FEATURE_NAMES
 from daq_service.acquisition.schedule import list_due_hours
 from daq_service.assessment.baseline_lifecycle import build_first_baseline
 from daq_service.catalogue import Catalogue
+from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, FeatureRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
@@ -56,19 +57,12 @@ def list_published_baselines(
 
 def _count_usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
     """Count the scheduled sets of a baseline that have every feature and a quality other than bad."""
-    first, last = row.first_set_index, row.last_set_index
-    columns = catalogue.columns(
-        FeatureRow,
-        ["quality", *FEATURE_NAMES],
-        position=row.position,
-        scope="set",
-        first_set=first,
-        last_set=last,
-    )
-    return sum(
-        quality != "bad" and None not in values
-        for quality, *values in zip(*(columns[name] for name in ("quality", *FEATURE_NAMES)), strict=True)
-    )
+    filters: Filters = {"position": row.position, "scope": "set"}
+    filters |= {"first_set": row.first_set_index, "last_set": row.last_set_index}
+    names = ("quality", *FEATURE_NAMES)
+    columns = catalogue.columns(FeatureRow, names, **filters)
+    values_of_sets = zip(*(columns[name] for name in names), strict=True)
+    return sum(quality != "bad" and None not in values for quality, *values in values_of_sets)
 
 
 def _read_temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:

@@ -36,11 +36,7 @@ def encode_table(
     if kind.whole and most_rows is not None:
         read = _limit_rows(read, form, most_rows)
     about = {
-        "table": choice.table,
-        "position": choice.position,
-        "from_h": choice.from_h,
-        "to_h": choice.to_h,
-        "purpose": choice.purpose,
+        **{name: getattr(choice, name) for name in ("table", "position", "from_h", "to_h", "purpose")},
         "units": {column.name: column.unit for column in choice.columns if column.unit},
     }
     return kind.write(choice, build_facts(catalogue.read_experiment(), fresh, about), read)

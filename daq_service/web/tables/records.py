@@ -24,6 +24,8 @@ from hardware_drivers.measurement import Waveform
 MOST_SETS = 100_000
 """Limit of sets before the length of a record is known."""
 BYTES_A_SAMPLE = 8
+COPIED = ("set_index", "shot_index", "sequence", "valid")
+"""Columns that are those of the shots."""
 
 
 def _build_column(name: str, form: Form, unit: str = "") -> PublishedColumn:
@@ -153,12 +155,10 @@ def read_record_slice(
         time_s=first.time_s(),
         voltage_v=voltage_v,
         columns={
-            **{name: [getattr(row, name) for row in shots] for name in ("set_index", "shot_index")},
-            "sequence": [row.sequence for row in shots],
+            **{name: [getattr(row, name) for row in shots] for name in COPIED},
             "due_h": hours,
             "due_utc": format_hours_as_rfc3339(epoch_utc_ns, hours),
             "utc": [format_rfc3339(row.utc_ns) for row in shots],
-            "valid": [row.valid for row in shots],
             "flags": [" ".join(row.flags) for row in shots],
             "quality": [quality.get(row.sequence) for row in shots],
             "readable": readable,
