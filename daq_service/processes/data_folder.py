@@ -423,12 +423,9 @@ def load_settings_for_reading(config: Path | None, data_dir: Path | None) -> tup
     UsageError
         The configuration is rejected, with the reason.
     """
-    stored = None if config is not None or data_dir is None else _stored_settings(data_dir)
-    return (
-        load_settings_and_folder(config, data_dir)
-        if stored is None or data_dir is None
-        else (stored, data_dir.absolute())
-    )
+    if config is None and data_dir is not None and (stored := _stored_settings(data_dir)) is not None:
+        return stored, data_dir.absolute()
+    return load_settings_and_folder(config, data_dir)
 
 
 def _stored_settings(folder: Path) -> Settings | None:

@@ -135,10 +135,5 @@ def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
         owner = read_lock_owner(folder, LOCK_FILE).removeprefix("process ")
         if owner.isdigit() and int(owner) != beat.process:
             beat = None  # of an earlier recorder: the running one has just started
-    return determine_recorder_state(
-        beat,
-        kinds,
-        owned=owned,
-        boot=boot_name(),
-        mono_ns=time.monotonic_ns(),
-    )
+    boot, mono_ns = boot_name(), time.monotonic_ns()
+    return determine_recorder_state(beat, kinds, owned=owned, boot=boot, mono_ns=mono_ns)

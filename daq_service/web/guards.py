@@ -85,7 +85,7 @@ class RequestGuard:
                 async with asyncio.timeout(BODY_WITHIN_S):
                     body = await _read_body(receive)
             except TimeoutError:
-                problem = _create_body_too_slow()
+                problem = Problem("body-too-slow", f"The body was not complete within {BODY_WITHIN_S:g} s.")
             else:
                 if body is None:
                     problem = _create_body_too_large(f"more than {LARGEST_BODY_BYTES}")
@@ -129,11 +129,6 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
 def _create_body_too_large(size: str) -> Problem:
     """Create, without raising it, the error of a request body that exceeds the limit (413)."""
     return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
-
-
-def _create_body_too_slow() -> Problem:
-    """Create, without raising it, the error of a request body that arrives too slowly (408)."""
-    return Problem("body-too-slow", f"The body was not complete within {BODY_WITHIN_S:g} s.")
 
 
 def _find_request_problem(

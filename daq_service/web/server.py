@@ -48,10 +48,7 @@ class _Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Install uvicorn's signal handlers within the context, but none if there is a stop event."""
-        if self._stop is not None:
-            yield
-            return
-        with super().capture_signals():
+        with super().capture_signals() if self._stop is None else contextlib.nullcontext():
             yield
 
     async def on_tick(self, counter: int) -> bool:

@@ -62,11 +62,8 @@ def hide_address_secrets(receiver: ReceiverSettings) -> str:
     if receiver.url:
         parts = urlsplit(receiver.url)
         return f"{parts.scheme}://{parts.netloc}"
-    return (
-        f"from the variable {receiver.url_env}"
-        if receiver.url_env
-        else f"from {Path(receiver.url_file).name}"
-    )
+    place = f"the variable {receiver.url_env}" if receiver.url_env else Path(receiver.url_file).name
+    return f"from {place}"
 
 
 def validate_receivers(settings: NotificationSettings) -> None:
