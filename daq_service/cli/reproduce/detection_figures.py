@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import linregress
@@ -215,8 +213,7 @@ def draw_thickness_figure(material: item.Material) -> item.Product:
     line = _fit_loss_line(probe)
     if line is not None:
         ends_h = np.array([0.0, hours[-1]])
-        loss_m = line.intercept + line.slope * ends_h
-        loss.plot(ends_h, 1e3 * loss_m, color=style.BLACK, lw=1.0, label="our line")
+        loss.plot(ends_h, 1e3 * (line[0] + line[1] * ends_h), color=style.BLACK, lw=1.0, label="our line")
     if probe.position == "A":
         _draw_paper_reading(wall, loss)
     loss.set(xlabel="hour of the test (h)", ylabel="loss of thickness (mm)")
@@ -257,19 +254,22 @@ def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, Flo
     return hours, thickness
 
 
-def _fit_loss_line(probe: Series) -> Any:
-    """Fit the loss in m over hours by least squares (`linregress`); None for fewer than two hours."""
+def _fit_loss_line(probe: Series) -> tuple[float, float, float] | None:
+    """Fit the loss by least squares: at hour 0 in m, slope in m/h, R^2; None for fewer than two hours."""
     loss_m = probe.values["thickness_loss_m"]
     present = np.isfinite(loss_m)
     if np.unique(probe.hour_h[present]).size < 2:
         return None
-    return linregress(probe.hour_h[present], loss_m[present])
+    line = linregress(probe.hour_h[present], loss_m[present])
+    return float(line.intercept), float(line.slope), float(line.rvalue**2)
 
 
-def _find_thickness(test: Evidence, probe: Series, line: Any) -> dict[str, item.Found]:
+def _find_thickness(
+    test: Evidence, probe: Series, line: tuple[float, float, float] | None
+) -> dict[str, item.Found]:
     """Return our values of figure 15 for position A by quantity, each missing one with its reason.
 
-    Initial thickness, reading at `READ_H` and core in mm, loss in %, and R^2 of the loss's line.
+    Initial thickness, reading at `READ_H` and core in mm, loss in %, and R^2 of the loss's ``line``.
     """
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
@@ -294,7 +294,7 @@ def _find_thickness(test: Evidence, probe: Series, line: Any) -> dict[str, item.
         else item.make_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )
     values["linearity"] = (
-        item.no_value("fewer than two readings") if line is None else item.make_value(float(line.rvalue**2))
+        item.no_value("fewer than two readings") if line is None else item.make_value(line[2])
     )
     return values
 
