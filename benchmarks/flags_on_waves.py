@@ -213,7 +213,7 @@ def twin_waves() -> list[tuple[Wave, Wave, float]]:
     found = []
     for size_m in (25.4e-3, 50.8e-3):
         model = ShotModel(ChainParameters(), plate, CorrosionParameters(size_m=size_m), cache_folder=None)
-        gone = model.shot_at_hole()
+        gone = model.shot(through_hole=True)
         silent = _sampled(gone.time_s, gone.force_n - gone.preload_n)
         for depth in np.linspace(0.0, 0.8, 17):
             force = model.shot(depth_fraction=float(depth))

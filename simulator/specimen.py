@@ -53,12 +53,10 @@ number of samples."""
 class SolitaryWaveModel(Protocol):
     """Physics of one transducer on its plate (`simulator.shot.model.ShotModel`)."""
 
-    def shot(self, *, depth_fraction: float, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Simulate the force at the sensor after a strike on a wall thinned by `depth_fraction`."""
-        ...
-
-    def shot_at_hole(self, *, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Simulate the force at the sensor after a strike on a chain without support at its end."""
+    def shot(
+        self, *, depth_fraction: float, drop_height_m: float, tilt_rad: float, through_hole: bool
+    ) -> ShotForce:
+        """Simulate the force at the sensor after a strike on a thinned wall, or above a hole."""
         ...
 
 
@@ -203,12 +201,11 @@ class Specimen:
         a model that is no ShotModel, and errors of `ShotModel.shot`.
         """
         model = _select_shot_model(self.transducers[position], faults)
-        if wall.is_hole:
-            return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
         return model.shot(
             depth_fraction=wall.patch_depth_fraction,
             drop_height_m=strike.drop_height_m,
             tilt_rad=strike.tilt_rad,
+            through_hole=wall.is_hole,
         )
 
     def simulate_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:

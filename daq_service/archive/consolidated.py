@@ -26,11 +26,18 @@ import numpy as np
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
-from daq_service.archive.nexus import add_attributes, add_field, add_group, new_image, open_root, read_image
+from daq_service.archive.nexus import (
+    add_attributes,
+    add_columns,
+    add_field,
+    add_group,
+    new_image,
+    open_root,
+    read_image,
+)
 from daq_service.archive.reader import RecordGroup, list_record_groups, open_set_file, read_set_key
 from daq_service.archive.records import SetReference
 from hardware_drivers.measurement import Calibration, SetKey
-from hardware_drivers.units import find_unit
 
 CONSOLIDATED_VERSION = "1.0"
 
@@ -157,9 +164,7 @@ def build_consolidated_image(
         for sampling, (blocks, columns) in shots.items():
             _add_shots(entry, names[sampling], sampling, blocks, columns, _make_relative(target, folder))
         for position, columns in sets.items():
-            _add_columns(
-                add_group(entry, f"{position}_sets", "NXcollection", {"position": position}), columns
-            )
+            add_columns(add_group(entry, f"{position}_sets", "NXcollection", {"position": position}), columns)
         note = add_group(entry, "provenance", "NXnote")
         add_field(note, "type", "application/json")
         add_field(note, "data", [json.dumps(dict(facts.provenance))], chunk=(1,), is_axis=True)
@@ -221,7 +226,7 @@ def _add_shots(
     for dimension, axis in enumerate((shot, time)):
         h5py.h5ds.attach_scale(records.id, axis, dimension)
     _add_calibration(group, signal, blocks, shot)
-    _add_columns(group, columns, axis=shot)
+    add_columns(group, columns, axis=shot)
 
 
 def _add_calibration(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
@@ -241,17 +246,3 @@ def _add_calibration(group: GroupID, signal: str, blocks: Sequence[Block], shot:
     offset = np.divide(constant, slope, out=np.zeros_like(slope), where=slope != 0.0)
     add_field(group, f"{signal}_scaling_factor", slope, axes=[shot], units="V")
     add_field(group, f"{signal}_offset", offset, axes=[shot], units="counts")
-
-
-def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID | None = None) -> None:
-    """Add a dataset per column, of numbers with its unit; without ``axis`` the first column becomes the axis.
-
-    Columns have a value per row of the axis.
-    """
-    for name, values in columns.items():
-        if axis is None:
-            axis = add_field(group, name, values, is_axis=True)
-            continue
-        field = add_field(group, name, values, axes=[axis])
-        if not isinstance(values, list):
-            add_attributes(field, {"units": find_unit(name)})

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from daq_service.archive.chunk import GZIP_LEVEL, encode_chunk
 from daq_service.archive.plain import require_plain_file
+from hardware_drivers.units import find_unit
 
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays are in their object header: faster than a chunk, and shorter than its index."""
@@ -179,6 +180,20 @@ def add_field(
     dataset = create_field(parent, name, stored, chunk, axes, is_axis, attributes)
     write_field(dataset, stored, chunk)
     return dataset
+
+
+def add_columns(
+    group: h5g.GroupID, columns: Mapping[str, NDArray[Any] | list[str]], *, axis: h5d.DatasetID | None = None
+) -> h5d.DatasetID | None:
+    """Add a dataset per column with its unit; return the axis, which without ``axis`` is the first column.
+
+    Columns have a value per row of the axis.
+    """
+    for name, values in columns.items():
+        field = add_field(group, name, values, axes=[] if axis is None else [axis], is_axis=axis is None)
+        axis = field if axis is None else axis
+        add_attributes(field, {"units": find_unit(name)} if find_unit(name) else {})
+    return axis
 
 
 def create_field(

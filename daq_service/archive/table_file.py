@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from h5py.h5d import DatasetID
 from h5py.h5f import FileID
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
@@ -14,13 +13,13 @@ from numpy.typing import NDArray
 from daq_service.archive.nexus import (
     Attribute,
     add_attributes,
+    add_columns,
     add_field,
     add_group,
     new_image,
     open_root,
     read_image,
 )
-from hardware_drivers.units import find_unit
 
 
 def build_table_image(
@@ -48,7 +47,7 @@ def build_table_image(
         entry = _add_entry(file, name, facts_text)
         plot: dict[str, Attribute] = {} if signal is None else {"signal": signal, "axes": [axis]}
         group = add_group(entry, name, "NXcollection" if signal is None else "NXdata", plot)
-        _add_columns(group, columns, axis)
+        add_columns(group, {axis: columns[axis], **columns})
         return read_image(file)
 
 
@@ -75,7 +74,7 @@ def build_records_image(
     with new_image() as file:
         plot: dict[str, Attribute] = {"signal": "voltage_v", "axes": [axis, "time_s"]}
         group = add_group(_add_entry(file, name, facts_text), name, "NXdata", plot)
-        axis_field = _add_columns(group, columns, axis)
+        axis_field = add_columns(group, {axis: columns[axis], **columns})
         time = add_field(group, "time_s", time_s, is_axis=True, units="s", description="from the trigger")
         add_field(
             group, "voltage_v", voltage_v, chunk=(1, voltage_v.shape[1]), axes=[axis_field, time], units="V"
@@ -92,19 +91,3 @@ def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
     entry = add_group(file, "entry", "NXentry", {"default": name})
     add_field(entry, "facts", facts_text)
     return entry
-
-
-def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
-    """Add a dataset per column with its unit to a group; return that of column ``axis``, the others' scale.
-
-    Raises KeyError if there is no such column.
-    """
-    axis_field = add_field(group, axis, columns[axis], is_axis=True)
-    fields = {
-        key: add_field(group, key, values, axes=[axis_field])
-        for key, values in columns.items()
-        if key != axis
-    }
-    for key, field in {axis: axis_field, **fields}.items():
-        add_attributes(field, {"units": find_unit(key)} if find_unit(key) else {})
-    return axis_field

@@ -31,6 +31,11 @@ Position = Annotated[str, "Monitored position, as the configuration names it"]
 SetIndex = Annotated[int, "Index of the scheduled set, from 0"]
 UnscheduledIndex = Annotated[int, "0: the scheduled set itself; n: the n-th unscheduled set after it"]
 DueH = Annotated[float, "Hour of the test at which the set is due"]
+LimitFPredictive = Annotated[float | None, "Predictive F limit of `distance_squared`; null: none yet"]
+LimitMean3Sd = Annotated[float | None, "Limit mean + 3 SD of `distance_squared`; null: none yet"]
+Limits = Annotated[
+    dict[str, float] | None, "Every limit by its name (`/info` lists them); null: there is none"
+]
 
 
 class Row:
@@ -203,17 +208,12 @@ class BaselineRow(Row):
     feature_names: Annotated[list[str], "Features of the baseline, in the order of `mean`"]
     mean: Annotated[list[float | None], "Mean of each feature in its own unit, shape (p,)"]
     covariance: Annotated[list[list[float | None]], "Covariance in products of these units, shape (p, p)"]
-    limit_f_predictive: Annotated[
-        float | None, "Predictive F limit of `distance_squared`; null: none yet"
-    ] = None
-    limit_mean_3sd: Annotated[float | None, "Limit mean + 3 SD of `distance_squared`; null: none yet"] = None
+    limit_f_predictive: LimitFPredictive = None
+    limit_mean_3sd: LimitMean3Sd = None
     limit_reason: Annotated[str | None, "Why there is no limit; null: there is one"] = None
     approval: Annotated[str, "`automatic`, `by_a_person` until a person approves, or the name of that person"]
     provenance: Annotated[dict[str, Any], "Set ids, suspects, extractor, versions"]
-    limits: Annotated[
-        dict[str, float] | None,
-        "Every limit by its name (`/info` lists them); null: there is none",
-    ] = None
+    limits: Limits = None
     baseline_quality: Annotated[
         dict[str, Any] | None,
         "How far it can be trusted, and whether the chart keeps its rate",
@@ -240,10 +240,8 @@ class AssessmentRow(RowOfSet):
     in_baseline: Annotated[bool, "The set belongs to the baseline"]
     distance_squared: Annotated[float | None, "Squared Mahalanobis distance from the baseline"] = None
     limit_name: Annotated[str, "The limit above which the set is an outlier"]
-    limit_f_predictive: Annotated[
-        float | None, "Predictive F limit of `distance_squared`; null: none yet"
-    ] = None
-    limit_mean_3sd: Annotated[float | None, "Limit mean + 3 SD of `distance_squared`; null: none yet"] = None
+    limit_f_predictive: LimitFPredictive = None
+    limit_mean_3sd: LimitMean3Sd = None
     outlier: Annotated[bool | None, "Above the limit `limit_name`; null: not assessed"] = None
     outlier_mean_3sd: Annotated[bool | None, "Above `limit_mean_3sd`; null: not assessed"] = None
     reason: Annotated[str | None, "Why there is no assessment; null: there is one"] = None
@@ -257,9 +255,7 @@ class AssessmentRow(RowOfSet):
     statistics: Annotated[
         dict[str, float] | None, "The other statistics that limits bound, by name; null: not assessed"
     ] = None
-    limits: Annotated[
-        dict[str, float] | None, "Every limit by its name (`/info` lists them); null: there is none"
-    ] = None
+    limits: Limits = None
     averages: Annotated[
         dict[str, list[float]] | None, "Exponentially weighted vector of each chart; null: not assessed"
     ] = None

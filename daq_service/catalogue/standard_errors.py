@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq_service.catalogue.reader import Catalogue, Filters
 from daq_service.catalogue.rows import MEASURED, FeatureRow, ShotRow
@@ -43,9 +41,11 @@ def read_standard_errors(
             accepted = {shot.sequence for shot in stored if shot.outcome == "accepted"}
             shots = [row for row in shots if row[4] in accepted]
         values = np.array([row[6:] for row in shots], dtype=float).reshape(-1, len(names))
+        measured = np.ma.masked_invalid(values)
+        found = measured.std(axis=0, ddof=1) / np.sqrt(measured.count(axis=0))  # masked for fewer than two
         errors[position, SetKey(set_index, unscheduled_index)] = {
-            name: None if mean is None or math.isnan(error) else error
-            for name, mean, error in zip(names, means, _compute_standard_errors(values), strict=True)
+            name: None if mean is None else error
+            for name, mean, error in zip(names, means, found.tolist(), strict=True)
         }
     return errors
 
@@ -60,15 +60,6 @@ def read_error_columns(
     errors = read_standard_errors(catalogue, names, **filters)
     of_sets = [errors.get((filters["position"] or "", SetKey(index)), {}) for index in set_indices]
     return {f"standard_error_{name}": [found.get(name) for found in of_sets] for name in names}
-
-
-def _compute_standard_errors(values: NDArray[np.float64]) -> list[float]:
-    """Compute the standard error of the mean of each column without its NaN; NaN for fewer than two."""
-    n = np.isfinite(values).sum(axis=0)
-    residual = values - np.nansum(values, axis=0) / np.maximum(n, 1)
-    variance = np.nansum(residual**2, axis=0) / np.maximum(n - 1, 1)
-    errors: list[float] = np.where(n > 1, np.sqrt(variance / np.maximum(n, 1)), np.nan).tolist()
-    return errors
 
 
 def find_standard_errors(

@@ -133,10 +133,8 @@ def _count_baseline_sets(catalogue: Catalogue, baseline: BaselineRow | None, pos
 
 def _find_first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
     """Return the hour of the first damage alarm at a position; None without one."""
-    hours = [
-        row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
-    ]
-    return min(hours) if hours else None
+    alarms = catalogue.rows(AlarmRow, position=position)
+    return min((row.raised_h for row in alarms if row.alarm_class == "damage"), default=None)
 
 
 def _outlier_fraction(outliers: Iterable[bool | None]) -> float | None:

@@ -117,10 +117,8 @@ def describe_key(path: Sequence[str]) -> str:
     return " ".join(words.partition("\n\n")[0].split())
 
 
-@cache
-def _get_cached_schema() -> JsonSchemaValue:
-    """Build the JSON Schema of the settings on the first call and return the same object later."""
-    return build_settings_schema()
+_get_cached_schema = cache(build_settings_schema)
+"""Builds the JSON Schema of the settings on the first call and returns the same object later."""
 
 
 def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSchemaValue:

@@ -77,7 +77,7 @@ class Impact:
     depth_fraction, drop_height_m, tilt_rad
         Depth of the patch, height the striker falls from, tilt of the sensor disk.
     through_hole
-        There is nothing under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
+        There is nothing under the chain; the depth does not matter then.
     second_delay_s, second_drop_height_m
         A second impact: so long after the first touch, to the nearest step, the striker, taken off meanwhile,
         touches again as from this height (None: as at first). It meets the chain as it then moves. The
@@ -250,6 +250,7 @@ class ShotModel:
         depth_fraction: float | None = None,
         drop_height_m: float | None = None,
         tilt_rad: float | None = None,
+        through_hole: bool = False,
         contact_forces: bool = False,
     ) -> ShotForce:
         """Simulate the force at the sensor for one strike.
@@ -258,6 +259,8 @@ class ShotModel:
         ----------
         depth_fraction, drop_height_m, tilt_rad
             Replace those of the parameters for this shot.
+        through_hole
+            Strike above a through hole, which reflects nothing.
         contact_forces
             Keep the force at every contact of the chain, too.
 
@@ -268,18 +271,12 @@ class ShotModel:
         IntegrationError
             The energy balance fails even with the finest step.
         """
-        impact = Impact(depth_fraction=depth_fraction, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
-        return self.shots([impact], contact_forces=contact_forces)[0]
-
-    def shot_at_hole(
-        self,
-        *,
-        drop_height_m: float | None = None,
-        tilt_rad: float | None = None,
-        contact_forces: bool = False,
-    ) -> ShotForce:
-        """Simulate the force at the sensor above a through hole, without a reflection; raises as `shot`."""
-        impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
+        impact = Impact(
+            depth_fraction=depth_fraction,
+            drop_height_m=drop_height_m,
+            tilt_rad=tilt_rad,
+            through_hole=through_hole,
+        )
         return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:

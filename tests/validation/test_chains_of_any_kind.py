@@ -78,7 +78,7 @@ def test_two_unlike_spheres_exchange_momentum_and_energy(ratio):
     radius = RADIUS_M * ratio ** (1 / 3)
     chain = replace(PAIR, spheres=(SphereParameters(body=1, radius_m=radius, youngs_modulus_pa=100e9),))
     model = ShotModel(chain, WALL, PATCH, step_s=1e-7, duration_s=0.4e-3)
-    force = model.shot_at_hole(contact_forces=True)
+    force = model.shot(through_hole=True, contact_forces=True)
     struck_by = force.contact_force_n[0]
     mu = MASS_KG * ratio / (1.0 + ratio)
     speed = math.sqrt(2 * 9.81 * 5e-3)

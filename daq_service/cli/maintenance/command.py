@@ -43,11 +43,11 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
     _lower_priority(data_dir)
     report = verify_folder(data_dir, _create_progress_printer("files"))
     damage = [asdict(finding) for finding in report.damage]
-    counts = {name: number for name, number in report.checked.items() if name != "bytes"}
+    counts = [f"{n} {name.replace('_', ' ')}" for name, n in report.checked.items() if name != "bytes"]
     lines = [
         *_format_findings(report.damage),
         *(f"note      {note}" for note in report.notes),
-        f"checked   {_join_counts(counts)}, {report.checked['bytes'] / 1e6:.1f} MB",
+        f"checked   {', '.join(counts)}, {report.checked['bytes'] / 1e6:.1f} MB",
         f"damage    {len(damage)}, named above" if damage else "damage    none",
     ]
     result = {"ok": not damage, "checked": report.checked, "damage": damage}
@@ -211,11 +211,6 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
 def _format_findings(damage: Sequence[Finding]) -> list[str]:
     """Format each finding of corruption as a line: kind, file, description."""
     return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
-
-
-def _join_counts(counts: dict[str, int]) -> str:
-    """Join counts and their names to one text, such as ``3 files, 2 sets in journal``."""
-    return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
 
 
 def _lower_priority(folder: Path) -> None:

@@ -120,7 +120,7 @@ def export_ro_crate(
     write_output(target / METADATA, json.dumps(content, indent=1, ensure_ascii=False).encode())
     return Crate(
         folder=str(target),
-        n_bytes=sum(map(_count_bytes, parts)),
+        n_bytes=int(str(root["contentSize"])),
         files=len(parts),
         sets=len(sets),
         left_out=left_out,
@@ -165,11 +165,11 @@ def _write_tables(catalogue: Catalogue, fresh: Freshness, target: Path) -> list[
         choice = Choice(table=table, purpose="any" if kind.unscheduled_set else "planned")
         path = f"tables/{table}.csv"
         write_output(target / path, encode_table(catalogue, fresh, choice, "csv"))
-        described = {column.published_name: column.description for column in list_columns(kind.row)}
+        descriptions = {column.published_name: column.description for column in list_columns(kind.row)}
         columns = [
             _build_entity(
                 *(f"#{table}/{column.name}", "PropertyValue", column.name),
-                description=described.get(column.name),
+                description=descriptions.get(column.name),
                 unitText=column.unit,
             )
             for column in choice.columns
@@ -211,7 +211,7 @@ def _describe_test(
         datePublished=datetime.now(UTC).date().isoformat(),
         temporalCoverage="/".join(times),
         contentLocation={"@id": "#site"} if experiment.site else None,
-        contentSize=str(sum(map(_count_bytes, parts))),
+        contentSize=str(sum(int(str(file["contentSize"])) for file in parts)),
         hasPart=_refer(parts),
         mentions={"@id": "#recording"},
     )
@@ -269,11 +269,6 @@ def _describe_publication(root: Entity, license_name: str | None, authors: Seque
         entities.append(_build_entity(url, "CreativeWork", license_name))
         root["license"] = {"@id": url}
     return entities
-
-
-def _count_bytes(file: Entity) -> int:
-    """Return the size of a described file, in bytes."""
-    return int(str(file["contentSize"]))
 
 
 def _refer(entities: Sequence[Entity]) -> list[Entity]:

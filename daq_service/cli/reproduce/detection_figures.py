@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from scipy.stats import linregress
 
 from daq_service.cli.reproduce import item, style
 from daq_service.cli.reproduce.evidence import Evidence, FloatArray, Series
@@ -203,10 +204,8 @@ def draw_thickness_figure(material: item.Material) -> item.Product:
     wall.plot(hours, 1e3 * values["thickness_m"], ".", color=colour, ms=2.5, label="thickness, eq. 17")
     wall.set_ylabel("remaining thickness (mm)")
     loss.plot(hours, 1e3 * values["thickness_loss_m"], ".", color=colour, ms=2.5, label="loss, eq. 17")
-    truth, initial_m = (
-        _read_true_thickness(test, probe.position),
-        test.settings.ultrasound.initial_thickness_m,
-    )
+    truth = _read_true_thickness(test, probe.position)
+    initial_m = test.settings.ultrasound.initial_thickness_m
     if truth is not None:
         true_h, true_m = truth
         wall.plot(true_h, 1e3 * true_m, color=style.BLUE, lw=1.0, label="the twin's true wall")
@@ -255,21 +254,22 @@ def _read_true_thickness(test: Evidence, position: str) -> tuple[FloatArray, Flo
     return hours, thickness
 
 
-def _fit_loss_line(probe: Series) -> tuple[float, float] | None:
-    """Fit the loss in m at hour 0 and its slope in m/h by least squares; None for fewer than two hours."""
+def _fit_loss_line(probe: Series) -> tuple[float, float, float] | None:
+    """Fit the loss by least squares: at hour 0 in m, slope in m/h, R^2; None for fewer than two hours."""
     loss_m = probe.values["thickness_loss_m"]
     present = np.isfinite(loss_m)
     if np.unique(probe.hour_h[present]).size < 2:
         return None
-    slope, start = np.polyfit(probe.hour_h[present], loss_m[present], 1)
-    return float(start), float(slope)
+    line = linregress(probe.hour_h[present], loss_m[present])
+    return float(line.intercept), float(line.slope), float(line.rvalue**2)
 
 
-def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
+def _find_thickness(
+    test: Evidence, probe: Series, line: tuple[float, float, float] | None
+) -> dict[str, item.Found]:
     """Return our values of figure 15 for position A by quantity, each missing one with its reason.
 
-    Initial thickness, reading at `READ_H` and core in mm, loss in %, and R^2 of the loss's line ``(start,
-    slope)``.
+    Initial thickness, reading at `READ_H` and core in mm, loss in %, and R^2 of the loss's ``line``.
     """
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
@@ -294,19 +294,9 @@ def _find_thickness(test: Evidence, probe: Series, line: tuple[float, float] | N
         else item.make_value(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
     )
     values["linearity"] = (
-        item.no_value("fewer than two readings")
-        if line is None
-        else item.make_value(_compute_r_squared(probe, line))
+        item.no_value("fewer than two readings") if line is None else item.make_value(line[2])
     )
     return values
-
-
-def _compute_r_squared(probe: Series, line: tuple[float, float]) -> float:
-    """Compute R^2 of a line (start, slope) through the finite losses."""
-    present = np.isfinite(probe.values["thickness_loss_m"])
-    hours, loss = probe.hour_h[present], probe.values["thickness_loss_m"][present]
-    residual = loss - (line[0] + line[1] * hours)
-    return 1.0 - float(residual @ residual) / float(((loss - loss.mean()) ** 2).sum())
 
 
 FIG14 = item.Item(name="fig14", make=draw_outlier_figure, needs_test=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import asdict
-from typing import TypeVar
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, TypeVar
 
 from daq_service.cli.doctor.check import read_time_stamp
 from daq_service.cli.set_up.dialogue import Dialogue
@@ -15,6 +15,10 @@ from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+
+if TYPE_CHECKING:
+    from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
+    from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
 T = TypeVar("T")
 
@@ -100,9 +104,7 @@ def _identify_probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
         resource, _, channel = address.partition("/")
         wiring = ProbeWiring(resource=resource, channel=channel or "0")
         with open_niscope(NiscopeParameters(probes={name: wiring})) as unit:
-            found[name] = ProbeWiring(
-                resource=resource, channel=channel or "0", serial_number=unit.serial_number(name)
-            )
+            found[name] = replace(wiring, serial_number=unit.serial_number(name))
     return found
 
 
@@ -113,11 +115,9 @@ def _identify_supply(port: str) -> Tables:
     """
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
-    line = SerialLineParameters(port=port)
-    with closing(
-        ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=read_time_stamp)
-    ) as supply:
-        return _to_parameter_table(SupplyParameters(line=line, identity=_build_id_pattern(supply.identity())))
+    parameters = SupplyParameters(line=SerialLineParameters(port=port), identity=".+")
+    with closing(ScpiPowerSupply(parameters, stamp=read_time_stamp)) as supply:
+        return _identify(parameters, supply)
 
 
 def _identify_climate_probe(port: str) -> Tables:
@@ -127,17 +127,21 @@ def _identify_climate_probe(port: str) -> Tables:
     """
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
-    line = SerialLineParameters(port=port)
-    with closing(
-        ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=read_time_stamp)
-    ) as probe:
-        return _to_parameter_table(ClimateParameters(line=line, identity=_build_id_pattern(probe.identity())))
+    parameters = ClimateParameters(line=SerialLineParameters(port=port), identity=".+")
+    with closing(ScpiClimateProbe(parameters, stamp=read_time_stamp)) as probe:
+        return _identify(parameters, probe)
 
 
-def _build_id_pattern(identity: Mapping[str, str]) -> str:
-    """Build a regular expression of maker, model and serial number; any firmware version matches."""
+def _identify(
+    parameters: SupplyParameters | ClimateParameters, instrument: ScpiPowerSupply | ScpiClimateProbe
+) -> Tables:
+    """Return the table of an instrument that matches its maker, model, serial number and any firmware.
+
+    Raises InstrumentError if it does not respond.
+    """
+    identity = instrument.identity()
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
-    return ",".join(re.escape(part) for part in parts)
+    return _to_parameter_table(replace(parameters, identity=",".join(map(re.escape, parts))))
 
 
 def _to_parameter_table(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:

@@ -234,11 +234,6 @@ SIMULTANEOUS_12_BIT = BoardParameters(serial_number=0x00F12015, product="PXI-611
 SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1")
 
 
-def _footprint(size_m: float) -> CorrosionParameters:
-    """Build the parameters of a corrosion patch of size ``size_m``, m; all else is the default."""
-    return CorrosionParameters(size_m=size_m)
-
-
 def build_default_description(twin: TwinParameters | None = None) -> Description:
     """Build the description of a chassis with four boards of different kinds.
 
@@ -247,12 +242,13 @@ def build_default_description(twin: TwinParameters | None = None) -> Description
     """
     boards = (SIMULTANEOUS_18_BIT, SIMULTANEOUS_16_BIT, SIMULTANEOUS_12_BIT, SLOW)
     wide, usual, narrow, _ = (board.serial_number for board in boards)
+    small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return Description(
         boards=boards,
         transducers={
-            "B": TransducerWiring(ai_serial=wide, counter_serial=wide, corrosion=_footprint(25.4e-3)),
-            "C": TransducerWiring(ai_serial=usual, counter_serial=usual, corrosion=_footprint(50.8e-3)),
-            "D": TransducerWiring(ai_serial=narrow, counter_serial=narrow, corrosion=_footprint(25.4e-3)),
+            "B": TransducerWiring(ai_serial=wide, counter_serial=wide, corrosion=small),
+            "C": TransducerWiring(ai_serial=usual, counter_serial=usual, corrosion=large),
+            "D": TransducerWiring(ai_serial=narrow, counter_serial=narrow, corrosion=small),
         },
         probes={"A": ProbeWiring(resource="PXI1Slot5")},
         twin=twin or TwinParameters(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Task, TaskState
@@ -41,11 +41,6 @@ def answer_attribute(
     if name not in values:
         raise Status(statuses.ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
     return {"value": values[name](subject)}
-
-
-def join_names(items: Iterable[str]) -> str:
-    """Join names with commas, as NI's driver does."""
-    return ", ".join(items)
 
 
 def require_settable(task: Task, arguments: Arguments, family: str) -> str:

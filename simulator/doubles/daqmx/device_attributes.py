@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from simulator.doubles.chassis.boards import list_terminals
-from simulator.doubles.daqmx.attribute_lookup import answer_attribute, join_names
+from simulator.doubles.daqmx.attribute_lookup import answer_attribute
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler
 
@@ -13,7 +13,7 @@ _SYSTEM: Mapping[str, Callable[[Bench], object]] = {
     "Sys.NIDAQMajorVersion": lambda bench: bench.description.driver_version[0],
     "Sys.NIDAQMinorVersion": lambda bench: bench.description.driver_version[1],
     "Sys.NIDAQUpdateVersion": lambda bench: bench.description.driver_version[2],
-    "Sys.DevNames": lambda bench: join_names(device.name for device in bench.devices.present()),
+    "Sys.DevNames": lambda bench: ", ".join(device.name for device in bench.devices.present()),
 }
 
 _DEVICE: Mapping[str, Callable[[Device], object]] = {
@@ -21,15 +21,15 @@ _DEVICE: Mapping[str, Callable[[Device], object]] = {
     "Dev.SerialNum": lambda device: device.serial_number,
     # A double passes for hardware, if it is not told otherwise: drivers shall take the real path.
     "Dev.IsSimulated": lambda device: int(device.parameters.simulated),
-    "Dev.Terminals": lambda device: join_names(list_terminals(device.kind, device.name)),
-    "Dev.AI.PhysicalChans": lambda device: join_names(
+    "Dev.Terminals": lambda device: ", ".join(list_terminals(device.kind, device.name)),
+    "Dev.AI.PhysicalChans": lambda device: ", ".join(
         f"{device.name}/ai{n}" for n in range(device.kind.analog_inputs)
     ),
-    "Dev.CO.PhysicalChans": lambda device: join_names(
+    "Dev.CO.PhysicalChans": lambda device: ", ".join(
         f"{device.name}/{counter}"
         for counter in (*(f"ctr{n}" for n in range(len(device.kind.counter_terminals))), "freqout")
     ),
-    "Dev.DO.Lines": lambda device: join_names(f"{device.name}/{line}" for line in device.kind.digital_lines),
+    "Dev.DO.Lines": lambda device: ", ".join(f"{device.name}/{line}" for line in device.kind.digital_lines),
     "Dev.AI.MaxSingleChanRate": lambda device: device.kind.max_rate_hz,
     "Dev.AI.VoltageRngs": lambda device: [end for limit in device.kind.ranges_v for end in (-limit, limit)],
     "Dev.AnlgTrigSupported": lambda device: int(device.kind.simultaneous),

@@ -12,7 +12,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,38 +23,30 @@ from simulator.doubles.serial.supply import Cell, OutputChange, Supply
 from simulator.errors import SimulatorError
 
 CLIMATE_IDENTITY = "SOLIMON,CLIMATE PROBE DOUBLE,CD0001,1.0"
+TEMPERATURE_C, SWING_C, RELATIVE_HUMIDITY = 22.0, 1.5, 0.45
+"""Room climate, and half the daily swing of its temperature."""
 
 
 class ClimateProbe:
     """Thermometer and hygrometer: a daily swing around room climate."""
 
-    def __init__(
-        self,
-        *,
-        temperature_c: float = 22.0,
-        swing_c: float = 1.5,
-        relative_humidity: float = 0.45,
-        seconds: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self) -> None:
         self.identity = CLIMATE_IDENTITY
-        self.temperature_c = temperature_c
-        self.swing_c = swing_c
-        self.relative_humidity = relative_humidity
-        self._seconds, self._start_s = seconds, seconds()
+        self._start_s = time.monotonic()
 
     def answer(self, command: str) -> str | None:
         """Answer queries of identity, temperature (°C) and relative humidity (%); None for any other command.
 
         Both swing with a period of one day from the start of the double.
         """
-        phase = 2.0 * math.pi * (self._seconds() - self._start_s) / 86_400.0
+        phase = 2.0 * math.pi * (time.monotonic() - self._start_s) / 86_400.0
         match command.upper():
             case "*IDN?":
                 return self.identity
             case "MEAS:TEMP?":
-                return f"{self.temperature_c + self.swing_c * math.sin(phase):.2f}"
+                return f"{TEMPERATURE_C + SWING_C * math.sin(phase):.2f}"
             case "MEAS:HUM?":
-                return f"{100.0 * self.relative_humidity - 5.0 * math.sin(phase):.1f}"
+                return f"{100.0 * RELATIVE_HUMIDITY - 5.0 * math.sin(phase):.1f}"
         return None
 
 
@@ -75,11 +67,10 @@ class SerialInstruments:
         folder: Path,
         *,
         supply: Supply | None = None,
-        climate: ClimateProbe | None = None,
         link: type[SerialLink] = SerialLink,
     ) -> None:
         self.supply = Supply() if supply is None else supply
-        self.climate = ClimateProbe() if climate is None else climate
+        self.climate = ClimateProbe()
         self.supply_link = link(folder / "supply", self.supply.answer, self.supply.FRAMING)
         try:
             self.climate_link = link(folder / "climate", self.climate.answer)
@@ -132,12 +123,8 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
         raise SimulatorError(f"no instrument {name!r}; there are supply and climate")
     link = instruments.supply_link if name == "supply" else instruments.climate_link
     match order.get("do"):
-        case "unplug":
-            link.unplug()
-        case "plug":
-            link.plug()
-        case "clear_faults":
-            link.clear_faults()
+        case "unplug" | "plug" | "clear_faults" as method:
+            getattr(link, method)()
         case "inject":
             try:
                 link.inject(**{key: value for key, value in order.items() if key not in {"do", "instrument"}})
@@ -186,10 +173,7 @@ def main() -> int:
             print(error, file=sys.stderr)
             return 2
         with instruments:
-            ports = {
-                "supply": instruments.supply_link.port,
-                "climate": instruments.climate_link.port,
-            }
+            ports = {"supply": instruments.supply_link.port, "climate": instruments.climate_link.port}
             ready = json.dumps({"event": "ready", **ports}) if options.json else f"ports: {ports}"
             print(ready, flush=True)
             for line in sys.stdin:

@@ -148,50 +148,40 @@ class SerialLink:
 
     def plug(self) -> None:
         """Open a terminal behind the link's path, and wait for it; do nothing if it is plugged in."""
-        self._run_on_thread(self._plug)
+        self.do(self._plug)
 
     def unplug(self) -> None:
         """Remove terminal and path of the link; do nothing if it is unplugged."""
-        self._run_on_thread(self._unplug)
+        self.do(self._unplug)
 
     def inject(self, **faults: Any) -> None:
         """Set some of the `LineFaults` by name; the others stay. Raise TypeError for an unknown one."""
         changed = replace(self._faults, **faults)
-        self._run_on_thread(lambda: self._set_faults(changed))
+        self.do(lambda: self._set_faults(changed))
 
     def clear_faults(self) -> None:
         """Remove all faults of the line; responses that are delayed or held back are lost."""
-        self._run_on_thread(lambda: self._set_faults(LineFaults()))
+        self.do(lambda: self._set_faults(LineFaults()))
 
     def send_unrequested(self, text: bytes) -> None:
         """Send bytes to the client that it did not request; do nothing while none is connected."""
-        self._run_on_thread(lambda: self._transmit(text))
-
-    def do(self, work: Callable[[], T]) -> T:
-        """Run a function on the link's thread, between two commands; return its result or raise its error.
-
-        Raises
-        ------
-        TimeoutError
-            It takes longer than `ORDER_TIMEOUT_S`.
-        """
-        return self._run_on_thread(work)
+        self.do(lambda: self._transmit(text))
 
     def heard(self) -> list[tuple[int, str]]:
         """Return every command received, in order, with its monotonic time in ns."""
-        return self._run_on_thread(lambda: list(self._heard))
+        return self.do(lambda: list(self._heard))
 
     def close(self) -> None:
         """Unplug the link and end its thread, within `ORDER_TIMEOUT_S`; do nothing if it is closed."""
         if not self._thread.is_alive():
             return
         self.unplug()
-        self._run_on_thread(self._end_thread)
+        self.do(self._end_thread)
         self._thread.join(ORDER_TIMEOUT_S)
         os.close(self._wake_read)
         os.close(self._wake_write)
 
-    def _run_on_thread(self, work: Callable[[], T]) -> T:
+    def do(self, work: Callable[[], T]) -> T:
         """Run a function on the link's thread and wait; return its result or raise its error.
 
         On that thread itself it is called at once.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -64,7 +65,7 @@ def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> Acceptanc
             conduct.build_restart_table(evidence),
             faults.build_fault_table(evidence),
             faults.build_clock_step_table(evidence),
-            sets.build_flag_table(evidence),
+            Table("flags", Counter(evidence.flags).most_common()),
             faults.build_damage_table(evidence),
         ],
         series=list(yield_series(evidence)),

@@ -147,11 +147,6 @@ def build_shortfall_table(evidence: Evidence) -> Table:
     return Table("shortfalls", rows)
 
 
-def build_flag_table(evidence: Evidence) -> Table:
-    """Build the table of the number of records by quality flag, the most frequent first."""
-    return Table("flags", Counter(evidence.flags).most_common())
-
-
 def build_record_count_series(evidence: Evidence) -> Series:
     """Build the series of planned, recorded and valid records per scheduled set, over the due hours.
 

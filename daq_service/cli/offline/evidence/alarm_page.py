@@ -20,11 +20,6 @@ NOT_SHOWN = (*NOT_COMPARED, "averages")
 """Columns of an assessment that only the JSON has; averages are the state of chart and diagnosis."""
 
 
-def format_alarm_title(found: Explained) -> str:
-    """Format the title of the alarm's page: its number and its headline."""
-    return f"Alarm {found.alarm.id}: {describe_alarm(found.alarm).headline}"
-
-
 def describe_recomputation(found: Explained) -> str:
     """Describe in sentences whether the recomputation raises the same alarm, or why there is none."""
     recomputed = found.again
@@ -52,7 +47,7 @@ def render_alarm_page(found: Explained, pictures: Sequence[Picture]) -> bytes:
     assessment = {} if of_set is None else as_dict(of_set)
     return render_template(
         "alarm.html.j2",
-        title=format_alarm_title(found),
+        title=f"Alarm {found.alarm.id}: {describe_alarm(found.alarm).headline}",
         found=found,
         sentences=_describe_evidence(found),
         pictures=pictures,

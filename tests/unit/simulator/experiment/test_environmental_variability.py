@@ -125,7 +125,7 @@ def test_variability_of_size_zero_changes_no_count(only):
 
 def test_a_chain_of_another_kind_of_model_is_refused():
     class Fixed:
-        def shot(self, *, depth_fraction, drop_height_m, tilt_rad):
+        def shot(self, *, depth_fraction, drop_height_m, tilt_rad, through_hole):
             return MODEL.shot(drop_height_m=drop_height_m, tilt_rad=tilt_rad)
 
     made = specimen(replace(QUIET, nuisance="plant"), Fixed())

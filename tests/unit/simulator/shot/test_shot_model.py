@@ -115,7 +115,7 @@ def test_a_coarse_step_is_halved_until_energy_balances():
 
 
 def test_hole_has_the_same_isw_and_no_reflected_wave(model):
-    hole, solid = model.shot_at_hole(), model.shot()
+    hole, solid = model.shot(through_hole=True), model.shot()
     assert hole.preload_n == solid.preload_n
     assert hole.reflection_time_s is None
     assert hole.energy_residual <= shot_model.ENERGY_TOLERANCE
