@@ -297,7 +297,7 @@ class Specimen:
         if found is not None:
             noise = scale_noise(noise, found.noise_factor)
         record = simulate_triggered_record(
-            force_step_s=_grid_step_s(force),
+            force_step_s=float(force.time_s[-1]) / (force.time_s.size - 1),
             dynamic_force_n=every_impact.force_n - every_impact.preload_n,
             sensor_gain_v_per_n=blow.strike.sensor_gain_v_per_n,
             adc=adc,
@@ -404,11 +404,6 @@ def _simulate_strikes(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[t
         (force, force if blow.faults.double_delay_s is None else next(found))
         for blow, force in zip(blows, first, strict=True)
     ]
-
-
-def _grid_step_s(force: ShotForce) -> float:
-    """Return the step of the force's time grid in s, which may be several integration steps."""
-    return float(force.time_s[-1]) / (force.time_s.size - 1)
 
 
 def _collect_true_values(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:

@@ -92,8 +92,9 @@ def find_differences(copy: Results, rows: Results) -> Iterator[str]:
                 yield f"{table}, {key} {name}: {'not in the file' if in_file is None else 'there is no row'}"
             elif in_file[MADE_BY] == in_catalogue[MADE_BY]:
                 for column in sorted(in_file.keys() & in_catalogue.keys()):
-                    if not _is_equal(in_file[column], in_catalogue[column]):
-                        difference = f"{column} is {in_catalogue[column]!r}, in the file {in_file[column]!r}"
+                    left, right = in_file[column], in_catalogue[column]
+                    if not (left == right or (left != left and right != right)):  # two NaN are equal
+                        difference = f"{column} is {right!r}, in the file {left!r}"
                         yield f"{table}, {key} {name}: {difference}"
 
 
@@ -104,11 +105,6 @@ def _index_by_key(key: str, columns: Mapping[str, Sequence[Any]]) -> dict[Any, d
     """
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return {row[key]: row for row in rows}
-
-
-def _is_equal(left: Any, right: Any) -> bool:
-    """Return whether two values are equal; two NaN are."""
-    return bool(left == right or (left != left and right != right))
 
 
 def _to_finite(value: float | None) -> float:

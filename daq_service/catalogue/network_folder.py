@@ -65,16 +65,11 @@ def _find_filesystem_type(path: str, mountinfo: str) -> str:
         fields = mount.split()
         if not separator or len(fields) < 5 or not filesystem.split():
             continue
-        mount_point = PurePosixPath(_unescape_mount_point(fields[4]))
+        mount_point = PurePosixPath(re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), fields[4]))
         # ">=": a later mount on the same point hides the earlier one.
         if place.is_relative_to(mount_point) and len(mount_point.parts) >= nearest:
             nearest, kind = len(mount_point.parts), filesystem.split()[0]
     return kind
-
-
-def _unescape_mount_point(text: str) -> str:
-    r"""Decode the octal escapes of a mount point, such as ``\040`` for a blank."""
-    return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), text)
 
 
 def _detect_windows_drive(path: Path) -> str | None:

@@ -482,7 +482,7 @@ def filter_by(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> s
     """
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
-    if _has_set_key(table) and "unscheduled_index" not in values:
+    if table is not events and "unscheduled_index" in table.c and "unscheduled_index" not in values:
         values.setdefault("purpose", "planned")
     hour_conditions = _HOURS_OF_UNSCHEDULED if values.get("purpose", "planned") != "planned" else {}
     for name, value in values.items():
@@ -531,11 +531,6 @@ def _collect_checked_rows(kind: type[R], required: Mapping[str, object], found: 
     rows = list(found)
     _raise_if_values_differ(kind, required, lambda name: (getattr(row, name) for row in rows))
     return rows
-
-
-def _has_set_key(table: sa.Table) -> bool:
-    """Return whether a table has rows of sets, scheduled and unscheduled; False for events and others."""
-    return table is not events and "unscheduled_index" in table.c
 
 
 def _list_set_key(table: sa.Table) -> list[sa.Column[int]]:

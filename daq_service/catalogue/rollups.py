@@ -198,14 +198,6 @@ def _compute_fit_sums(connection: Connection, place: PositionRange, first: int, 
     return np.array([row.set_index for row in results], dtype=np.int64), parts
 
 
-def _join_fit_sums(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
-    """Combine the sums of sets, rows of ``parts``, from each start index to the next one.
-
-    The result has shape (len(starts), n_values).
-    """
-    return np.stack([join_fit_parts(block_parts) for block_parts in np.split(parts, starts[1:])])
-
-
 CHARTS = Rollup(
     name="bins",
     finest=4,
@@ -218,7 +210,7 @@ FITS = Rollup(
     finest=64,  # a part of fewer points is larger than they are
     type_of=lambda kind: np.dtype((PART, (len(MEASURED[kind]),))),
     of_sets=_compute_fit_sums,
-    joined=_join_fit_sums,
+    joined=lambda parts, starts: np.stack([join_fit_parts(one) for one in np.split(parts, starts[1:])]),
 )
 ROLLUPS = (CHARTS, FITS)
 

@@ -87,13 +87,11 @@ def print_simulation(
         print_sweep(request, TABLES[model].columns, as_json=as_json)
         return
     if named := [name for name, value in options.items() if value]:
-        raise UsageError(f"{_format_option_name(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
+        option = {"outputs": "--out", "element_wise": "--zip"}.get(
+            named[0], f"--{named[0].replace('_', '-')}"
+        )
+        raise UsageError(f"{option} belongs to a sweep: give --sweep KEY=VALUES, too")
     _print_shots(model, specimen, grid, is_table=depths is not None, as_json=as_json)
-
-
-def _format_option_name(name: str) -> str:
-    """Return the option of a sweep on the command line for its parameter name."""
-    return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:

@@ -102,7 +102,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             suite = dict(getattr(report, "user_properties", ())).get("solimon_suite")
             if suite is not None:
                 rules = rules_by_suite.setdefault(str(suite), {}).setdefault(outcome, [])
-                rules.append(_format_rule(report.nodeid))
+                # test_reading_disarms is the rule "reading disarms"
+                rules.append(report.nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " "))
     if not rules_by_suite:
         return
     chosen = config.stash[CHOSEN]
@@ -140,8 +141,3 @@ def _find_suite_role(item: pytest.Item) -> str | None:
     """Return the role of the suite of a test, ``kind`` or ``safety``; None for a test of other modules."""
     cls = getattr(item, "cls", None)
     return cls.suite if cls is not None and cls.__module__ == SUITES else None
-
-
-def _format_rule(nodeid: str) -> str:
-    """Format a test's node id as words of the rule: ``test_reading_disarms`` becomes ``reading disarms``."""
-    return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

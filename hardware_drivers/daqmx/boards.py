@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -104,8 +104,9 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     found = {}
     for serial in sorted({normalize_serial(text) for text in serials}):
         if serial not in known:
+            there = ", ".join(f"{one} ({device.name})" for one, device in known.items()) or "none"
             raise ConnectionLostError(
-                f"no board with serial number {serial}; there are: {_format_board_names(known)}; "
+                f"no board with serial number {serial}; there are: {there}; "
                 "check its power, seating and cable, and board_serial in [rig.daqmx.transducers]"
             )
         found[serial] = describe_board(serial, known[serial])
@@ -147,11 +148,6 @@ def describe_board(serial: str, device: Device) -> Board:
             lambda: bool(device.is_simulated), False, f"whether board {serial} is simulated"
         ),
     )
-
-
-def _format_board_names(boards: Mapping[str, Device]) -> str:
-    """Format serial numbers and names of boards as a list for a message; ``none`` without boards."""
-    return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 
 def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:

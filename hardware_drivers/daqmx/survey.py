@@ -239,7 +239,9 @@ class Survey:
             Raise ConfigurationError if it cannot.
             """
             check_board(board, wiring, parameters)
-            return f"as asked: {_format_input(parameters, wiring)}"
+            return (
+                f"as asked: {wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
+            )
 
         def check_trigger() -> str:
             """Commit the triggered acquisition and clear it; return the accepted trigger as text.
@@ -382,11 +384,6 @@ def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
     )
     state: State = "ok" if away_k <= WARMED_K else "warn"
     return state, detail, "warm the chassis up for half an hour, then self-calibrate"
-
-
-def _format_input(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
-    """Format input, range in V and rate in MS/s of a transducer for a finding."""
-    return f"{wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
 
 
 def format_trigger(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:

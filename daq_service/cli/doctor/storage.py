@@ -96,11 +96,6 @@ def check_storage(settings: Settings, folder: Path) -> list[Check]:
     ]
 
 
-def _find_existing_folder(folder: Path) -> Path:
-    """Return the path itself, or its nearest parent that exists; it may be a file."""
-    return next(path for path in (folder, *folder.parents) if path.exists())
-
-
 def _check_file_system(folder: Path) -> Check:
     """Check the folder's file system: fail on a network, warn on operating systems where that is unknown."""
     kind = find_network_type(folder)
@@ -121,7 +116,8 @@ def _check_writable(folder: Path) -> Check:
     Warns if the write takes longer than `SLOW_WRITE_S`. A missing folder is probed at its nearest parent.
     Raises OSError if the folder cannot be listed.
     """
-    name, existing = "data folder: writable", _find_existing_folder(folder)
+    name = "data folder: writable"
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
     if not existing.is_dir():
         return _make_failure(name, f"{existing} is a file", "choose another folder with --data-dir")
     if existing == folder:

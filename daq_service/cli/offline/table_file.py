@@ -121,7 +121,9 @@ def read_table(
     if features:
         for name, column in numbers.items():
             if column is None:
-                cell = _find_first_non_number(columns[name], decimal)
+                cell = next(
+                    c for c in columns[name] if not _is_missing(c) and _parse_number(c, decimal) is None
+                )
                 at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
                 raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
     columns_of_numbers = {
@@ -388,11 +390,6 @@ def _parse_number(cell: object, decimal: str) -> float | None:
 def _is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell can be converted to a float with this decimal mark."""
     return _parse_number(cell, decimal) is not None
-
-
-def _find_first_non_number(column: Column, decimal: str) -> object:
-    """Return the first cell that is neither missing nor a number; raise StopIteration if there is none."""
-    return next(cell for cell in column if not _is_missing(cell) and _parse_number(cell, decimal) is None)
 
 
 def _mask_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:

@@ -60,7 +60,7 @@ class Row:
         """Return the deviation as text: in %, or in the unit; "none" if rounding only, "-" if missing."""
         if self.deviation is None:
             return "-"
-        if _is_rounding_only(self.deviation, self.paper):
+        if abs(self.deviation) < 1e-9 * max(1.0, abs(self.paper or 0.0)):  # of rounding
             return "none"
         if self.deviation_percent is not None and self.unit != "%":
             return f"{self.deviation_percent:+.1f} %"
@@ -128,11 +128,6 @@ def _assess_agreement(value: PaperValue, ours: float | None) -> str:
             return f"within_{tolerance}_percent"
     low, high = value.scatter or (math.inf, -math.inf)
     return "within_scatter" if low <= ours <= high else "outside"
-
-
-def _is_rounding_only(deviation: float, paper: float | None) -> bool:
-    """Return whether a deviation is below 1e-9, relative to the paper's value if that exceeds 1."""
-    return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
 def _format_paper_value(value: PaperValue) -> str:

@@ -46,7 +46,8 @@ def write_configuration(
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     off: set[KeyPath] = set()
-    values, found = _read_twin_values(), list[str]()
+    values: Tables = tomllib.loads(find_config_file("simulated.toml").read_text(encoding="utf-8"))
+    found: list[str] = []
     if kind == "rig":
         values, off = read_lab_config()
     elif source is not None:
@@ -83,11 +84,6 @@ def read_lab_config() -> tuple[Tables, set[KeyPath]]:
     values, active = tomllib.loads(uncomment_tables(text)), flatten(tomllib.loads(text))
     tables = {key[:depth] for key in flatten(values) for depth in range(1, len(key))}
     return values, {table for table in tables if not any(_is_in_tables(key, [table]) for key in active)}
-
-
-def _read_twin_values() -> Tables:
-    """Read the values of the shipped simulated.toml, the configuration of the twin, as nested tables."""
-    return tomllib.loads(find_config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
 def _assign_values(values: Tables, assignments: Sequence[str]) -> Tables:

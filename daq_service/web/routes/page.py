@@ -31,17 +31,13 @@ async def get_dashboard(request: Request) -> Response:
     For a logged-in person, the first answers (`_get_embedded_answers`) are embedded, too.
     """
     answers = {b"/api/v1/session": bytes((await get_session(request)).body)}
-    if request.state.person is not None and _has_test(request):
+    has_test = hasattr(request.state, "test") or hasattr(request.app.state, "context")
+    if request.state.person is not None and has_test:
         answers |= await _get_embedded_answers(find_request_context(request))
     # "<" is escaped, as it could end the script element; in JSON it occurs only within strings.
     embedded = b",".join(b'"%b":%b' % answer for answer in answers.items()).replace(b"<", rb"\u003c")
     page = load_assets()[PAGE].content.replace(ANSWERS, ANSWERS + embedded)
     return Response(page, media_type=MEDIA_TYPES[".html"])
-
-
-def _has_test(request: Request) -> bool:
-    """Return whether a request has a test: the one of its path, or that of a single-test service."""
-    return hasattr(request.state, "test") or hasattr(request.app.state, "context")
 
 
 async def _get_embedded_answers(context: Context) -> Mapping[bytes, bytes]:
