@@ -70,8 +70,5 @@ def build_write_condition(error: str, *, present: bool, waits_in: str = "memory"
         Where the sets wait: ``memory``, or ``journal`` for complete sets.
     """
     return Condition(
-        kind="write_failed",
-        priority="high",
-        present=present,
-        evidence={"error": error, "waits_in": waits_in},
+        kind="write_failed", priority="high", present=present, evidence={"error": error, "waits_in": waits_in}
     )

@@ -14,11 +14,7 @@ DELAY_EVENT = "alarm_delay"
 
 
 def apply_delays(
-    row: AlarmRow | None,
-    condition: Condition,
-    since_ns: int | None,
-    moment: Moment,
-    rule: AlarmKindSettings,
+    row: AlarmRow | None, condition: Condition, since_ns: int | None, moment: Moment, rule: AlarmKindSettings
 ) -> tuple[Condition | None, int | None]:
     """Apply on-delay, off-delay and deadband (ISA-18.2) to the condition of an alarm.
 

@@ -127,10 +127,7 @@ class Moment:
     def of_set(cls, due: DueSet, utc_ns: int) -> Moment:
         """Create the moment of a set: its indices, its scheduled hour, and a time in ns of UTC."""
         return cls(
-            utc_ns=utc_ns,
-            due_h=due.due_h,
-            set_index=due.set_index,
-            unscheduled_index=due.unscheduled_index,
+            utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index, unscheduled_index=due.unscheduled_index
         )
 
     def event(

@@ -189,11 +189,7 @@ def _describe_file(target: Path, path: str, name: str, media_type: str) -> Entit
 
 
 def _describe_test(
-    experiment: ExperimentRow,
-    fresh: Freshness,
-    configuration: Tables,
-    parts: Sequence[Entity],
-    n_sets: int,
+    experiment: ExperimentRow, fresh: Freshness, configuration: Tables, parts: Sequence[Entity], n_sets: int
 ) -> Entity:
     """Return the root data entity: what was tested when and where, and its files."""
     kind = configuration["rig"]["kind"]

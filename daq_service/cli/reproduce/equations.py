@@ -130,9 +130,7 @@ def _check_autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[flo
         if row is None or not np.isfinite(pulses.values["tof_ac_s"][row]):
             continue
         lag_s = _compute_lag_s(
-            trace,
-            float(pulses.values["isw_time_s"][row]),
-            float(pulses.values["psw_time_s"][row]),
+            trace, float(pulses.values["isw_time_s"][row]), float(pulses.values["psw_time_s"][row])
         )
         distances.append(1e6 * abs(lag_s - float(pulses.values["tof_ac_s"][row])))
     return (max(distances), len(distances)) if distances else None

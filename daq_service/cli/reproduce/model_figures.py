@@ -221,10 +221,7 @@ _DEPTH_CURVES = {
         _build_depth_job(_DISK, _PLATE, _LARGE_PATCH, DEPTHS),
     ),
     "solid_sphere": _Curve(
-        "solid, sensor a sphere",
-        style.ORANGE,
-        "--",
-        _build_depth_job(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS),
+        "solid, sensor a sphere", style.ORANGE, "--", _build_depth_job(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS)
     ),
     "solid_disk": _Curve(
         "solid, sensor two disks",

@@ -152,15 +152,11 @@ def draw_solid_mesh_figure(material: Material) -> Product:
     section.set(xlim=(0, half_mm), ylim=(z_mm[-1] + 0.5, -2.4), xlabel="x (mm)", ylabel="z (mm)")
     section.grid(visible=False)
     title_panels(
-        axes,
-        ("a quarter in plan; thin: nodes", f"section, {100 * mesh.depth_fraction:g} % thinned"),
+        axes, ("a quarter in plan; thin: nodes", f"section, {100 * mesh.depth_fraction:g} % thinned")
     )
     return Product(
         drawing=figure,
-        tables={
-            "": Table(columns={"x_m": mesh.x_m, "y_m": mesh.y_m}),
-            "z": Table(columns={"z_m": mesh.z_m}),
-        },
+        tables={"": Table(columns={"x_m": mesh.x_m, "y_m": mesh.y_m}), "z": Table(columns={"z_m": mesh.z_m})},
         found={
             "contact_element": make_value(1e3 * mesh.contact_element_m),
             "impact_speed": make_value(speed_m_per_s),

@@ -54,8 +54,7 @@ def build_zener_table(material: Material) -> Product:
         for case, value in enumerate(numbers, 1)
     }
     return Product(
-        tables={"": Table(columns={"case": list(range(1, len(rows) + 1)), **columns})},
-        found=values,
+        tables={"": Table(columns={"case": list(range(1, len(rows) + 1)), **columns})}, found=values
     )
 
 

@@ -204,8 +204,4 @@ def write_valid_config(
     write_config(file, values, head=head, off=off)
     dialogue.report(f"{file} is written with its schema ({settings.configuration_hash()[:12]})")
     dialogue.report(f"next: solimon check-config {file}, then docs/how-to/set-up-a-rig.md")
-    return {
-        "file": str(file),
-        "configuration_hash": settings.configuration_hash(),
-        **instruments.result(),
-    }
+    return {"file": str(file), "configuration_hash": settings.configuration_hash(), **instruments.result()}

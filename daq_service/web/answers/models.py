@@ -596,10 +596,7 @@ def _build_trend_columns() -> type[Answer]:
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
     errors = {column: f"Standard error of `{name}`" for column, name in TREND_STANDARD_ERRORS.items()}
     fields: Fields = {
-        name: (
-            GenericAlias(list, (kind | None,)),
-            Field(default_factory=list, description=errors.get(name)),
-        )
+        name: (GenericAlias(list, (kind | None,)), Field(default_factory=list, description=errors.get(name)))
         for name, kind in kinds.items()
     }
     description = "The columns that were asked for, and hour, age and quality; one entry a set or bin."
