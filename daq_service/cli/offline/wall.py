@@ -1,0 +1,201 @@
+"""``solimon wall``: wall thickness with 90 % intervals from tables of features, one transducer per table."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import click
+import numpy as np
+
+from analysis.errors import InvalidInputError, SingularCovarianceError
+from analysis.wall import posterior
+from analysis.wall.bank import ESTIMAND_RADIUS_M, FEATURES, Bank
+from analysis.wall.calibration import calibrate
+from daq_service.assessment.wall_bank import build_bank, open_bank, store_bank
+from daq_service.cli.offline.table_file import TableFile, read_table
+from daq_service.errors import UsageError
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.methods import SOLITARY_WAVE
+
+HOUR = "due_h"
+"""Column of a table with the hour of the test."""
+H_PER_YEAR = 8766.0
+ESTIMAND = (
+    f"mean over a disc of {1e3 * ESTIMAND_RADIUS_M:.0f} mm radius around the contact, lost since the baseline"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WallRow:
+    """Wall thickness after a set; None without an estimate, and ``reason``.
+
+    Attributes
+    ----------
+    thickness_m, interval_low_m, interval_high_m
+        Median and 90 % interval.
+    rate_m_per_year
+        Median rate of loss.
+    probability_below
+        Probability that the wall is thinner than the minimum.
+    minimum_after_h, minimum_earliest_h
+        Hours until the minimum is reached at the present rate, median and 5 % quantile; None: never.
+    """
+
+    hour: float
+    thickness_m: float | None = None
+    interval_low_m: float | None = None
+    interval_high_m: float | None = None
+    rate_m_per_year: float | None = None
+    probability_below: float | None = None
+    minimum_after_h: float | None = None
+    minimum_earliest_h: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wall:
+    """Result of a table; without rows it is refused."""
+
+    file: str
+    position: str
+    refused: str | None = None
+    rows: list[WallRow] = field(default_factory=list)
+
+
+def run_wall(
+    *,
+    config: Path,
+    tables: tuple[Path, ...],
+    position: str | None,
+    baseline_hours: float | None,
+    minimum_m: float | None,
+    as_json: bool,
+) -> None:
+    """Run `solimon wall`: print the wall thickness after each set of the tables.
+
+    Parameters
+    ----------
+    position
+        Whose chain and plate are meant; None: the first transducer of the configuration.
+    baseline_hours
+        End of the baseline; None: `baseline.hours`.
+    minimum_m
+        Minimum wall; None: `minimum_wall_m` of the position, or none.
+
+    Raises
+    ------
+    UsageError
+        An invalid configuration or option, or a missing file or column.
+    """
+    settings = load_settings(config)
+    name = _choose_position(settings, position)
+    place = settings.positions[name]
+    end_h = settings.baseline.hours if baseline_hours is None else baseline_hours
+    bank = open_bank(place.chain, place.plate)
+    if bank is None:
+        bank = build_bank(place.chain, place.plate, progress=_print_progress)
+        store_bank(bank)
+    changes = posterior.predict_changes(bank)
+    results = []
+    for path in tables:
+        table = read_table(path, features=(HOUR, *FEATURES), baseline_rows=1, baseline_where=None)
+        try:
+            rows = list(_estimate_rows(table, bank, changes, end_h, minimum_m or place.minimum_wall_m))
+            results.append(Wall(file=str(path), position=name, rows=rows))
+        except (InvalidInputError, SingularCovarianceError) as error:
+            results.append(Wall(file=str(path), position=name, refused=str(error)))
+    if as_json:
+        answer = {"estimand": ESTIMAND, "initial_thickness_m": bank.thickness_m, "tables": results}
+        click.echo(json.dumps(answer, default=asdict, allow_nan=False))
+        return
+    click.echo(f"wall thickness, {ESTIMAND}; 90 % intervals")
+    for one in results:
+        click.echo("\n".join(_describe(one, bank.thickness_m)))
+
+
+def _choose_position(settings: Settings, position: str | None) -> str:
+    """Return the position, or the first with a transducer; raise UsageError if there is none."""
+    names = [name for name, place in settings.positions.items() if place.method == SOLITARY_WAVE]
+    if position is None and names:
+        return names[0]
+    if position not in names:
+        raise UsageError(f"--position {position!r} is none of the transducers {', '.join(names) or '(none)'}")
+    return position
+
+
+def _print_progress(done: int, total: int, name: str) -> None:
+    """Print on standard error which curve of the bank is simulated."""
+    click.echo(f"simulating wall curves, once for this chain and plate: {done} of {total} ({name})", err=True)
+
+
+def _estimate_rows(
+    table: TableFile, bank: Bank, changes: np.ndarray, end_h: float, minimum_m: float | None
+) -> Iterator[WallRow]:
+    """Yield the wall thickness after each set that follows the baseline.
+
+    Raises InvalidInputError for a baseline that cannot be used, or without sets after it.
+    """
+    hours = table.vectors[:, 0]
+    if not np.isfinite(hours).all() or np.any(np.diff(hours) < 0.0):
+        raise InvalidInputError(f"{HOUR} must be there in each row, and rise; sort the table")
+    positive = np.where(table.vectors[:, 1:] > 0.0, table.vectors[:, 1:], math.nan)
+    logs, is_baseline = np.log(positive), hours <= end_h
+    calibration = calibrate(bank, logs[is_baseline])
+    if is_baseline.all():
+        raise InvalidInputError(f"no set follows the baseline, which ends at hour {end_h:g}")
+    state = posterior.begin(len(changes), end_h)
+    for hour, row in zip(hours[~is_baseline].tolist(), logs[~is_baseline], strict=True):
+        if not np.isfinite(row).all():
+            missing = ", ".join(name for name, value in zip(FEATURES, row, strict=True) if math.isnan(value))
+            yield WallRow(hour=hour, reason=f"no value of {missing}")
+            continue
+        state, misfit = posterior.add_set(state, calibration, changes, row, hour)
+        if misfit > 1.0:
+            reason = f"not explained by any wall: {misfit:.2g} x the limit. Inspect sensor and contact"
+            yield WallRow(hour=hour, reason=reason)
+            continue
+        yield _build_row(state, bank.thickness_m, minimum_m)
+
+
+def _build_row(state: posterior.WallState, initial_m: float, minimum_m: float | None) -> WallRow:
+    """Return the row of a state; the interval is open below where the loss is beyond what is valid."""
+    loss, rate = posterior.estimate_loss(state), posterior.estimate_rate(state)
+    is_open = loss.high > posterior.LARGEST_VALID
+    limit = None if minimum_m is None else 1.0 - minimum_m / initial_m
+    left = None if limit is None else posterior.forecast(state, limit)
+    return WallRow(
+        hour=state.hour,
+        thickness_m=None if is_open else initial_m * (1.0 - loss.median),
+        interval_low_m=None if is_open else initial_m * (1.0 - loss.high),
+        interval_high_m=initial_m * (1.0 - loss.low),
+        rate_m_per_year=initial_m * rate.median * H_PER_YEAR,
+        probability_below=None if limit is None else posterior.compute_exceedance(state, limit),
+        minimum_after_h=None if left is None or math.isinf(left.median) else left.median,
+        minimum_earliest_h=None if left is None or math.isinf(left.low) else left.low,
+        reason=f"at least {1e3 * initial_m * loss.low:.2f} mm lost" if is_open else "",
+    )
+
+
+def _describe(one: Wall, initial_m: float) -> list[str]:
+    """Return the lines of a table: a row per set, or why it is refused."""
+    if one.refused is not None:
+        return [f"{one.file}: refused, {one.refused}"]
+    lines = [f"{one.file} (position {one.position}, {1e3 * initial_m:.2f} mm at the baseline)"]
+    for row in one.rows:
+        if row.thickness_m is None:
+            lines.append(f"  hour {row.hour:8.1f}  {row.reason}")
+            continue
+        low_mm, high_mm = (1e3 * (value or 0.0) for value in (row.interval_low_m, row.interval_high_m))
+        text = f"  hour {row.hour:8.1f}  {1e3 * row.thickness_m:6.2f} mm ({low_mm:.2f} to {high_mm:.2f})"
+        if row.rate_m_per_year is not None:
+            text += f", {1e3 * row.rate_m_per_year:.2g} mm per year"
+        if row.probability_below is not None:
+            at = "not reached" if row.minimum_after_h is None else f"in {row.minimum_after_h:.0f} h"
+            text += f", below the minimum: {row.probability_below:.0%}, {at}"
+        lines.append(text)
+    return lines

@@ -1,0 +1,233 @@
+"""Loss of wall from ln features: intervals over true losses, state, refusals. The bank is invented."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from analysis.errors import InvalidInputError
+from analysis.wall import posterior
+from analysis.wall.bank import FEATURES, Bank
+from analysis.wall.calibration import calibrate
+from analysis.wall.posterior import LOSSES, RATES_PER_H, WallState, add_set, begin, predict_changes
+
+SOUND = np.log([336e-6, 0.47, 0.6, 70e-6, 2.7])
+SD = np.array([0.005, 0.03, 0.02, 0.008, 0.05])
+HOURS = 24.0 + 12.0 * np.arange(1, 21)
+
+
+def curve(size):
+    grid = np.linspace(0.0, 0.8, 33)
+    wall = np.stack([size * grid**2, -size * grid, -0.6 * size * grid, 0.0 * grid, 0.0 * grid], axis=1)
+    return grid, wall
+
+
+@pytest.fixture(scope="module")
+def bank():
+    sizes = (0.3, 0.6, 0.9)
+    return Bank(
+        losses=curve(1.0)[0],
+        changes=np.array([curve(size)[1] for size in sizes]),
+        models=("solid",) * 3,
+        kinds=("size",) * 3,
+        sizes_m=np.array(sizes) * 0.05,
+        names=("small", "medium", "large"),
+        sound=SOUND,
+        slopes=np.diag(SD / 0.02),
+        sources=tuple(f"stiffness_{k}" for k in range(5)),
+        thickness_m=6.35e-3,
+        digest="invented",
+    )
+
+
+@pytest.fixture(scope="module")
+def changes(bank):
+    return predict_changes(bank)
+
+
+def draw_sets(seed, losses, size=0.6, n=48):
+    """Return a baseline and sets with these losses of the wall, both of ln features."""
+    random = np.random.default_rng(seed)
+    baseline, later = (
+        SOUND + SD * random.standard_normal((n, 5)),
+        SD * random.standard_normal((len(losses), 5)),
+    )
+    grid, wall = curve(size)
+    of_wall = np.stack([np.interp(losses, grid, column) for column in wall.T], axis=1)
+    return baseline, SOUND + later + of_wall
+
+
+def run(bank, changes, seed, losses, **how):
+    baseline, sets = draw_sets(seed, losses, **how)
+    calibration = calibrate(bank, baseline)
+    state = begin(len(changes), 24.0)
+    states = []
+    for hour, logs in zip(HOURS, sets, strict=False):
+        state, misfit = add_set(state, calibration, changes, logs, hour)
+        assert misfit < 1.0
+        states.append(state)
+    return states
+
+
+def test_the_interval_covers_a_growing_loss_and_a_sound_wall_is_bounded(bank, changes):
+    losses = 0.5 * np.arange(1, 21) / 20.0
+    found = [posterior.estimate_loss(run(bank, changes, seed, losses)[-1]) for seed in range(10)]
+    assert sum(one.low <= 0.5 <= one.high for one in found) >= 8
+    assert all(abs(one.median - 0.5) < 0.15 for one in found)
+    sound = posterior.estimate_loss(run(bank, changes, 1, np.zeros(20))[-1])
+    assert sound.low == 0.0
+    assert sound.high < 0.05
+
+
+def test_the_median_follows_the_sets_and_never_falls_far_when_they_return(bank, changes):
+    there_and_back = np.concatenate([np.linspace(0.04, 0.4, 10), np.linspace(0.36, 0.0, 10)])
+    medians = [posterior.estimate_loss(state).median for state in run(bank, changes, 3, there_and_back)]
+    assert medians[9] > 0.3
+    assert medians[-1] > 0.15, "a wall does not grow again"
+
+
+def test_a_packed_state_goes_on_with_the_same_digits(bank, changes):
+    states = run(bank, changes, 4, np.linspace(0.0, 0.3, 20))
+    packed = posterior.pack_state(states[-1])
+    read = posterior.unpack_state(packed)
+    assert len(packed) < 200_000
+    assert read.hour == states[-1].hour
+    assert np.array_equal(read.joint, states[-1].joint)
+    assert posterior.pack_state(read) == packed
+    assert read.joint.sum() == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("packed", [b"", b"other", posterior.zlib.compress(b"12345678" + b"\1" * 77)])
+def test_other_bytes_are_no_state(packed):
+    with pytest.raises(InvalidInputError, match="are no state of a wall"):
+        posterior.unpack_state(packed)
+
+
+def test_a_set_that_no_hypothesis_explains_moves_time_only(bank, changes):
+    baseline, sets = draw_sets(5, np.zeros(1))
+    calibration = calibrate(bank, baseline)
+    before = begin(len(changes), 24.0)
+    other_sensor = sets[0] + np.array([0.0, 0.0, 0.0, 0.2, -1.0])
+    state, misfit = add_set(before, calibration, changes, other_sensor, 36.0)
+    assert misfit > 1.0
+    nothing_seen = posterior._round(posterior._move_on(before, 12.0))
+    assert np.allclose(state.joint, nothing_seen, rtol=0.03)  # grains of 2 %
+    explained, misfit = add_set(before, calibration, changes, sets[0], 36.0)
+    assert misfit < 1.0
+    assert posterior.estimate_loss(explained).high < posterior.estimate_loss(state).high
+
+
+@pytest.mark.parametrize(
+    ("logs", "hour"), [(SOUND, 12.0), (np.where(np.arange(5) == 1, np.nan, SOUND), 36.0)], ids=["time", "nan"]
+)
+def test_a_set_out_of_order_or_without_a_feature_is_refused(bank, changes, logs, hour):
+    with pytest.raises(InvalidInputError, match="cannot follow hour 24"):
+        add_set(begin(len(changes), 24.0), calibrate(bank, draw_sets(6, [])[0]), changes, logs, hour)
+
+
+@pytest.mark.parametrize(
+    ("history", "message"),
+    [
+        (np.zeros((20, 4)), "must be"),
+        (draw_sets(7, [])[0][:14], "14 complete sets; a wall thickness needs 15"),
+        (
+            draw_sets(7, [])[0] + np.log([1e6, 1, 1, 1, 1]),
+            "tof_pp_s of the baseline is (1e\\+06|9.99e\\+05) times",
+        ),
+        (draw_sets(7, [])[0] + np.log([1, 1, 1, 1.4, 1]), "isw_fwhm_s of the baseline is 1.4 times"),
+    ],
+    ids=["shape", "few", "microseconds", "another chain"],
+)
+def test_a_baseline_that_the_twin_does_not_explain_is_refused(bank, history, message):
+    with pytest.raises(InvalidInputError, match=message):
+        calibrate(bank, history)
+
+
+def test_the_gain_of_a_sensor_is_free(bank):
+    louder = draw_sets(8, [])[0] + np.log([1, 1, 1, 1, 3.0])
+    assert calibrate(bank, louder).mean[-1] == pytest.approx(np.log(3 * 2.7), abs=0.05)
+
+
+def state_of(cells, hour=100.0):
+    """Return a state with these (loss, rate, probability) and one hypothesis."""
+    joint = np.zeros((1, len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
+    for loss, rate, probability in cells:
+        joint[0, np.abs(LOSSES - loss).argmin(), np.abs(RATES_PER_H - rate).argmin()] = probability
+    return WallState(joint=joint, hour=hour)
+
+
+def test_a_forecast_is_the_rest_divided_by_the_rate():
+    rate = RATES_PER_H[6]
+    certain = posterior.forecast(state_of([(0.1, rate, 1.0)]), 0.3)
+    assert certain.median == pytest.approx(0.2 / rate, rel=0.05)
+    step = (RATES_PER_H[2] / RATES_PER_H[1]) ** 0.5
+    assert 0.2 / rate / step < certain.low < 0.2 / rate < certain.high < 0.2 / rate * step
+    assert posterior.forecast(state_of([(0.1, 0.0, 1.0)]), 0.3).median == np.inf
+    assert posterior.forecast(state_of([(0.6, 1e-3, 1.0)]), 0.3).high == 0.0
+
+
+def test_the_probability_of_a_limit_counts_the_losses_above_it():
+    state = state_of([(0.1, 0.0, 0.75), (0.6, 0.0, 0.25)])
+    assert posterior.compute_exceedance(state, 0.3) == pytest.approx(0.25)
+    assert posterior.compute_exceedance(state, 0.1) == pytest.approx(0.25 + 0.75 * 10 / 21)
+    assert posterior.estimate_rate(state).high == 0.0
+
+
+def test_rates_move_losses_exactly_and_probability_stays_one():
+    state = state_of([(0.1, 1e-3, 1.0)])
+    rate = RATES_PER_H[np.abs(RATES_PER_H - 1e-3).argmin()]
+    moved = posterior._move_on(state, 40.0)
+    assert moved.sum() == pytest.approx(1.0, rel=1e-6)
+    mean = (moved.sum(axis=(0, 2)) * LOSSES).sum()
+    assert mean == pytest.approx(0.1 + 40.0 * rate, rel=1e-5)
+    assert posterior._move_on(state, 1e6)[0, -1].sum() == pytest.approx(1.0, rel=1e-5)
+
+
+def test_truths_drawn_from_the_prior_have_uniform_ranks(bank, monkeypatch):
+    """Simulation-based calibration (Talts et al., 2018) of the untempered filter without ambiguity.
+
+    Truth: hypothesis, rates and losses of the filter's own prior, sets of its own t distribution.
+    """
+    changes = predict_changes(bank)
+    calibration = calibrate(bank, draw_sets(9, [])[0])
+    random = np.random.default_rng(20)
+    ranks = []
+    color = np.linalg.inv(calibration.whitening)
+    for _ in range(1000):
+        hypothesis = random.integers(len(changes))
+        rate, loss = random.choice(RATES_PER_H, p=posterior._RATE_PRIOR), 0.0
+        state = begin(len(changes), 0.0)
+        for hour in (4.0, 8.0, 12.0, 16.0):
+            loss = min(loss + 4.0 * rate, LOSSES[-1])
+            rate = random.choice(
+                RATES_PER_H, p=posterior._RATE_CHANGE[np.flatnonzero(rate == RATES_PER_H)[0]]
+            )
+            mean = [np.interp(loss, LOSSES, column) for column in changes[hypothesis].T]
+            t = random.standard_normal(5) / np.sqrt(random.chisquare(calibration.dof) / calibration.dof)
+            state, _ = add_set(
+                state, calibration, changes, calibration.mean + mean + t @ color, hour, temper=1.0
+            )
+        of_loss = state.joint.sum(axis=(0, 2), dtype=float)
+        # The loss lies between grid points; its rank is that of a point drawn by its weights.
+        at = loss / LOSSES[1]
+        cell = int(at) + (random.random() < at % 1.0)
+        ranks.append(of_loss[:cell].sum() + random.random() * of_loss[cell])
+    counts, _ = np.histogram(ranks, bins=10, range=(0.0, 1.0))
+    assert stats.chisquare(counts).pvalue > 0.01, counts
+
+
+def test_a_bank_of_one_curve_without_discrepancy_has_equal_hypotheses(bank):
+    one = replace(
+        bank,
+        changes=bank.changes[:1],
+        models=("solid",),
+        kinds=("size",),
+        sizes_m=bank.sizes_m[:1],
+        names=("small",),
+    )
+    found = predict_changes(one, 0.0, 0.0)
+    assert np.array_equal(found[0], found[-1])
+    wanted = np.interp(LOSSES, bank.losses, bank.changes[0][:, 0])
+    assert np.allclose(found[0, :, 0], wanted)
+    assert found.shape == (posterior.FACTORS, len(LOSSES), len(FEATURES))
