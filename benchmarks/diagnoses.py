@@ -31,7 +31,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from diagnosis_slopes import MEAN_TILT_RAD, slopes, walls
+from diagnosis_slopes import MEAN_TILT_RAD, RECORDER, walls
 
 from analysis.diagnosis.diagnose import add_diagnosis, diagnose_latest_set
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
@@ -42,6 +42,7 @@ from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
 from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, update_alarm_state
+from daq_service.assessment.wall_bank import compute_source_slopes
 from daq_service.cli.offline.twin_line import simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from hardware_drivers.measurement import SetKey
@@ -84,7 +85,7 @@ class ModelSlopes:
 @lru_cache(maxsize=8)
 def model_slopes(name: str) -> ModelSlopes:
     chain, plate = MODELS[name]
-    found = slopes(chain, plate, PATCH_M)
+    found = compute_source_slopes(chain, plate, RECORDER)
     n = chain.bodies
     gain = np.array([float(part in ("psw_area_v_s", "isw_amplitude_v")) for part in COMPONENTS])
     # The seat gives the tilt apart from its loss of gain, `slopes` both together.

@@ -32,6 +32,7 @@ class ClimateProbe:
 
     def __init__(self) -> None:
         self.identity = CLIMATE_IDENTITY
+        self.temperature_c, self.relative_humidity = TEMPERATURE_C, RELATIVE_HUMIDITY
         self._start_s = time.monotonic()
 
     def answer(self, command: str) -> str | None:
@@ -44,9 +45,9 @@ class ClimateProbe:
             case "*IDN?":
                 return self.identity
             case "MEAS:TEMP?":
-                return f"{TEMPERATURE_C + SWING_C * math.sin(phase):.2f}"
+                return f"{self.temperature_c + SWING_C * math.sin(phase):.2f}"
             case "MEAS:HUM?":
-                return f"{100.0 * RELATIVE_HUMIDITY - 5.0 * math.sin(phase):.1f}"
+                return f"{100.0 * self.relative_humidity - 5.0 * math.sin(phase):.1f}"
         return None
 
 
