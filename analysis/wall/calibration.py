@@ -20,12 +20,12 @@ SOURCE_SD = {
     "stiffness": 0.02,
     "damping": 0.2,
     "drop_height": 0.02,
-    "tilt": 0.002,
+    "tilt_rad": 0.002,
     "gain": 0.01,
-    "modulus": 0.002,
+    "modulus_k": 2.0,
 }
 """Standard deviation of a healthy set's sources before its baseline is seen, in the units of `Bank.slopes`
-(ln, but rad for the tilt): those of the level `laboratory` of the twin's environmental variability."""
+(ln, but rad for the tilt, K for `modulus_k`): round numbers, assumed. They count as `PRIOR_SETS`."""
 WANDER = 1.75
 """Covariance of later sets divided by that within a baseline of a day, which shows no slow change; chosen
 as the constants of `posterior`."""

@@ -21,6 +21,7 @@ from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
+from simulator.errors import SimulatorError
 
 HOUR = "due_h"
 """Column of a table with the hour of the test."""
@@ -85,27 +86,34 @@ def run_wall(
     baseline_hours
         End of the baseline; None: `baseline.hours`.
     minimum_m
-        Minimum wall; None: `minimum_wall_m` of the position, or none.
+        Minimum wall, below the thickness of the plate; None: no probability and date.
 
     Raises
     ------
     UsageError
-        An invalid configuration or option, or a missing file or column.
+        An invalid configuration or option, a missing file or column, or a chain that cannot be simulated.
     """
     settings = load_settings(config)
     name = _choose_position(settings, position)
     place = settings.positions[name]
     end_h = settings.baseline.hours if baseline_hours is None else baseline_hours
+    if minimum_m is not None and minimum_m >= place.plate.thickness_m:
+        raise UsageError(
+            f"a minimum wall of {minimum_m} m must be below plate.thickness_m = {place.plate.thickness_m} m"
+        )
     bank = open_bank(place.chain, place.plate)
     if bank is None:
-        bank = build_bank(place.chain, place.plate, progress=_print_progress)
+        try:
+            bank = build_bank(place.chain, place.plate, progress=_print_progress)
+        except (SimulatorError, InvalidInputError) as error:
+            raise UsageError(f"no wall curves for the chain and plate of {name}: {error}") from error
         store_bank(bank)
     changes = posterior.predict_changes(bank)
     results = []
     for path in tables:
         table = read_table(path, features=(HOUR, *FEATURES), baseline_rows=1, baseline_where=None)
         try:
-            rows = list(_estimate_rows(table, bank, changes, end_h, minimum_m or place.minimum_wall_m))
+            rows = list(_estimate_rows(table, bank, changes, end_h, minimum_m))
             results.append(Wall(file=str(path), position=name, rows=rows))
         except (InvalidInputError, SingularCovarianceError) as error:
             results.append(Wall(file=str(path), position=name, refused=str(error)))

@@ -98,6 +98,13 @@ def test_a_packed_state_goes_on_with_the_same_digits(bank, changes):
     assert read.joint.sum() == pytest.approx(1.0, abs=1e-5)
 
 
+def test_a_stored_state_has_no_probability_where_there_was_none():
+    state = state_of([(0.1, 1e-3, 0.999), (0.2, 1e-3, 1e-3), (0.3, 1e-3, 1e-6)])
+    kept = posterior._round(state.joint)
+    assert np.count_nonzero(kept) == 2, "but for the one below the least"
+    assert kept[0, 40].max() == pytest.approx(1e-3, rel=0.03)  # grains of 2 %
+
+
 @pytest.mark.parametrize("packed", [b"", b"other", posterior.zlib.compress(b"12345678" + b"\1" * 77)])
 def test_other_bytes_are_no_state(packed):
     with pytest.raises(InvalidInputError, match="are no state of a wall"):
@@ -164,7 +171,8 @@ def test_a_forecast_is_the_rest_divided_by_the_rate():
     step = (RATES_PER_H[2] / RATES_PER_H[1]) ** 0.5
     assert 0.2 / rate / step < certain.low < 0.2 / rate < certain.high < 0.2 / rate * step
     assert posterior.forecast(state_of([(0.1, 0.0, 1.0)]), 0.3).median == np.inf
-    assert posterior.forecast(state_of([(0.6, 1e-3, 1.0)]), 0.3).high == 0.0
+    for rate in (0.0, 1e-3):
+        assert posterior.forecast(state_of([(0.6, rate, 1.0)]), 0.3).high == 0.0, "it is reached"
 
 
 def test_the_probability_of_a_limit_counts_the_losses_above_it():
@@ -172,6 +180,24 @@ def test_the_probability_of_a_limit_counts_the_losses_above_it():
     assert posterior.compute_exceedance(state, 0.3) == pytest.approx(0.25)
     assert posterior.compute_exceedance(state, 0.1) == pytest.approx(0.25 + 0.75 * 10 / 21)
     assert posterior.estimate_rate(state).high == 0.0
+
+
+def test_a_rate_stays_moves_to_its_neighbors_or_is_drawn_again():
+    at_rest, in_the_middle, at_the_end = (
+        posterior._move_on(state_of([(0.1, 0.0, 1.0)]), 0.0),
+        *(
+            posterior._move_on(state_of([(0.1, rate, 1.0)]), 0.0)
+            for rate in (RATES_PER_H[4], RATES_PER_H[-1])
+        ),
+    )
+    redrawn = posterior.REDRAWN * posterior._RATE_PRIOR
+    kept, to_each = 1.0 - posterior.REDRAWN, (1.0 - posterior.REDRAWN) * posterior.NEIGHBOR / 2.0
+    stays = redrawn + kept * np.eye(10)[0]
+    assert np.allclose(at_rest.sum(axis=(0, 1)), stays, atol=1e-6), "nothing but a redraw ends a rest"
+    spread = redrawn + to_each * (np.eye(10)[3] + np.eye(10)[5]) + (kept - 2.0 * to_each) * np.eye(10)[4]
+    assert np.allclose(in_the_middle.sum(axis=(0, 1)), spread, atol=1e-6)
+    last = redrawn + to_each * np.eye(10)[8] + (kept - to_each) * np.eye(10)[9]
+    assert np.allclose(at_the_end.sum(axis=(0, 1)), last, atol=1e-6)
 
 
 def test_rates_move_losses_exactly_and_probability_stays_one():

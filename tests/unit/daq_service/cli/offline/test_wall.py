@@ -10,6 +10,7 @@ from analysis.wall.bank import FEATURES, load_bank
 from daq_service.assessment.wall_bank import SHIPPED_BANK
 from daq_service.cli.main import cli
 from daq_service.settings.file import find_config_file
+from simulator.errors import SpecimenError
 
 SD = np.array([0.006, 0.03, 0.017, 0.008, 0.05])
 CONFIG = str(find_config_file("simulated.toml"))
@@ -68,6 +69,17 @@ def test_a_thinning_wall_has_intervals_a_rate_and_a_date(bank, tmp_path):
     assert last["minimum_earliest_h"] < last["minimum_after_h"]
 
 
+def test_beyond_three_quarters_only_the_least_loss_is_stated(bank, tmp_path):
+    losses = 0.78 * np.minimum(1.0, np.arange(1, 13) / 8.0)
+    table = write_table(tmp_path / "b.csv", bank, losses)
+    row = json.loads(run(table, "--json").stdout)["tables"][0]["rows"][-1]
+    assert row["thickness_m"] is row["interval_low_m"] is None
+    assert row["interval_high_m"] < 0.5 * bank.thickness_m
+    lost_mm = 1e3 * (bank.thickness_m - row["interval_high_m"])
+    assert row["reason"] == f"at least {lost_mm:.2f} mm lost"
+    assert f"hour    168.0  at least {lost_mm:.2f} mm lost" in run(table).stdout
+
+
 def test_the_text_has_a_line_for_each_set_with_units(bank, tmp_path):
     done = run(write_table(tmp_path / "b.csv", bank, np.zeros(3)), "--minimum-m", "0.004")
     assert done.exit_code == 0, done.output
@@ -124,11 +136,25 @@ def test_a_missing_value_is_named_and_the_next_set_counts(bank, tmp_path):
     assert rows[1]["reason"] == "no value of amplitude_ratio"
 
 
-def test_a_missing_column_or_an_unknown_position_is_an_error(bank, tmp_path):
+def test_a_missing_column_a_minimum_in_mm_or_an_unknown_position_is_an_error(bank, tmp_path):
     table = write_table(tmp_path / "b.csv", bank, np.zeros(3), left_out=("psw_isw_area_ratio",))
     done = run(table)
     assert done.exit_code != 0
     assert "psw_isw_area_ratio" in str(done.exception) + done.output
+    done = run(table, "--minimum-m", "6.35")
+    assert done.exit_code != 0
+    assert "must be below plate.thickness_m = 0.00635 m" in str(done.exception) + done.output
     done = run(table, "--position", "A")
     assert done.exit_code != 0
     assert "none of the transducers B, C, D" in str(done.exception) + done.output
+
+
+def test_a_chain_that_the_twin_cannot_simulate_is_an_error(bank, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise SpecimenError("the reason")
+
+    monkeypatch.setattr("daq_service.cli.offline.wall.build_bank", fail)
+    monkeypatch.setattr("daq_service.cli.offline.wall.open_bank", lambda *_: None)
+    done = run(write_table(tmp_path / "b.csv", bank, np.zeros(3)))
+    assert done.exit_code != 0
+    assert "no wall curves for the chain and plate of B: the reason" in str(done.exception) + done.output
