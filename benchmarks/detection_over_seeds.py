@@ -13,6 +13,9 @@ of sets freed of the same memory: what the chart pays for a baseline too short t
     python benchmarks/detection_over_seeds.py                 eleven seeds, about ten minutes on two cores
     python benchmarks/detection_over_seeds.py --seeds 1 --hours 100 --scales 1
     python benchmarks/detection_over_seeds.py --seeds 10 --scales 1 --nuisance laboratory
+    python benchmarks/detection_over_seeds.py --seeds 30 --scales 1 --nuisance laboratory --table losses.csv
+
+With --table the loss at the first detection by each rule is written for `solimon pod`.
 
 Exit code 1 if B or C alarm later than at 30 % mean depth at scale 1, or, without nuisance, D's pooled count
 lies outside the central 99.5 % of its predictive distribution.
@@ -21,12 +24,14 @@ lies outside the central 99.5 % of its predictive distribution.
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,6 +48,7 @@ from analysis.statistics.mewma import known_limit, mewma
 from analysis.statistics.rules import AlarmRule, AlarmState, update_alarm_state
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.assessment.rules import compute_run_length
+from daq_service.cli.offline.pod.runs import compute_losses, summarize_sensor
 from daq_service.cli.offline.twin_line import build_twin, simulate_assessed_sets
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -78,6 +84,8 @@ class Outcome:
     sd_percent: dict[str, float]
     raised_h: dict[str, list[float]]
     """Hours at which the alarm of the wall is raised, by what decides."""
+    losses: list[dict[str, Any]]
+    """Loss at the first detection, by the same; rows of the table for `solimon pod`."""
 
 
 def settings_of(run: Run) -> Settings:
@@ -125,6 +133,17 @@ def assess_run(run: Run) -> Outcome:
         standing |= alarms_of_other_designs(
             vectors, [i for i, row in assessments.items() if row.in_baseline], assessed_rows, settings
         )
+    raised_h = {name: onsets(assessed_rows, stands) for name, stands in standing.items()}
+    due_h = [row.due_h for row in assessed_rows]
+    baseline_h = [row.due_h for row in assessments.values() if row.in_baseline]
+    losses = compute_losses(settings, run.position, due_h, baseline_h) if due_h else np.zeros(0)
+    results = [
+        asdict(result)
+        for name, hours in (raised_h.items() if due_h else ())
+        for result in summarize_sensor(
+            f"{run.position} {name}", f"seed {run.seed}", losses, np.interp(hours, due_h, losses)
+        )
+    ]
     table = np.array(baseline_vectors)
     sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))
     return Outcome(
@@ -136,7 +155,8 @@ def assess_run(run: Run) -> Outcome:
         outliers_paper=sum(row.outlier_mean_3sd is True for row in assessed_rows),
         n_baseline=n_baseline,
         sd_percent=dict(zip((*FEATURE_NAMES, "isw_amplitude_v"), sd_percent.tolist(), strict=True)),
-        raised_h={name: onsets(assessed_rows, stands) for name, stands in standing.items()},
+        raised_h=raised_h,
+        losses=results,
     )
 
 
@@ -268,6 +288,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--positions", default="BCD")
     parser.add_argument("--only-d", action="store_true", help="only D with the drift off")
+    parser.add_argument("--table", type=Path, help="CSV file of losses at detection for `solimon pod`")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     runs = all_runs(
@@ -285,6 +306,12 @@ def main() -> int:
         for outcome in pool.map(assess_run, runs):
             outcomes.append(outcome)
             print(describe(outcome), file=sys.stderr, flush=True)
+    if options.table:
+        rows = [row for one in outcomes if one.run.drift and one.run.scale == 1.0 for row in one.losses]
+        with options.table.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(("rule", "sensor", "loss_m", "detected"))
+            writer.writerows((row["rule"], row["sensor"], row["loss_m"], int(row["signal"])) for row in rows)
     quiet = [outcome for outcome in outcomes if not outcome.run.drift]
     pooled = sum(outcome.outliers for outcome in quiet)
     low, high, mean = predictive_counts(quiet)

@@ -21,6 +21,9 @@ from analysis.waves.record_reduction import FloatArray
 
 ESTIMAND_RADIUS_M: Final = 0.010
 """Radius of the disc around the contact over which the loss is averaged."""
+ESTIMAND: Final = (
+    f"mean over a disc of {1e3 * ESTIMAND_RADIUS_M:.0f} mm radius around the contact, lost since the baseline"
+)
 FEATURES: Final = ("tof_pp_s", "amplitude_ratio", "psw_isw_area_ratio", "isw_fwhm_s", "isw_amplitude_v")
 """Features of a set, in the order of the last axis of `Bank.changes` and `Bank.slopes`."""
 FORMAT: Final = "solimon wall bank 1"

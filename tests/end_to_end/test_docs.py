@@ -87,6 +87,22 @@ def test_the_examples_of_the_sweep_page_print_what_it_says(tmp_path, monkeypatch
     ]
 
 
+def test_the_examples_of_the_detection_page_run(tmp_path, monkeypatch):
+    page = ROOT / "docs/how-to/estimate-detection.md"
+    (table,), (of_table, of_twin) = blocks(page, "text"), blocks(page, "sh")
+    monkeypatch.chdir(tmp_path)
+    Path("losses.csv").write_text(table, encoding="utf-8")
+    done = CliRunner().invoke(cli, shlex.split(of_table)[1:])
+    assert done.exit_code == 0, done.output
+    assert re.search(r"^table +6 +5 .* 0 of 1 sensors", done.stdout, flags=re.MULTILINE), done.stdout
+    assert Path("pod.svg").read_bytes().startswith(b"<?xml")
+    *demos, pod = (shlex.split(line)[1:] for line in of_twin.splitlines())
+    for seed, demo in enumerate(demos, 1):
+        assert run(small_settings(twin={"seed": seed}), Path(demo[demo.index("--data-dir") + 1]))
+    done = CliRunner().invoke(cli, pod)
+    assert "2 sensors with a wall loss; a POD needs at least 6" in str(done.exception)
+
+
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))
 def test_the_toml_of_the_configuration_page_is_accepted(text, tmp_path):
     path = tmp_path / "example.toml"

@@ -104,7 +104,7 @@ def read_table(
     UsageError
         There is no such file, or it has no such column of numbers; with what it has.
     """
-    columns, decimal = _read_columns(path)
+    columns, decimal = read_columns(path)
     healthy_by = baseline_where[0] if baseline_where else None
     if healthy_by is not None and healthy_by not in columns:
         raise UsageError(f"{path}: no column {healthy_by!r}; it has {_join_names(columns)}")
@@ -112,7 +112,7 @@ def read_table(
     if missing:
         raise UsageError(f"{path}: no column {_join_names(missing)}; it has {_join_names(columns)}")
     chosen = list(features) or [name for name in columns if name != healthy_by]
-    numbers = {name: _convert_to_numbers(columns[name], decimal) for name in chosen}
+    numbers = {name: convert_to_numbers(columns[name], decimal) for name in chosen}
     reasons = (
         {}
         if features
@@ -203,7 +203,7 @@ def _is_malformed_number(cell: object, decimal: str, *, mixed: bool) -> bool:
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
-def _read_columns(path: Path) -> Columns:
+def read_columns(path: Path) -> Columns:
     """Read all columns by name, and the decimal mark of the texts, in the format of the suffix.
 
     Raises UsageError for another suffix or an unreadable file, NoTableError for none or more than `MOST_ROWS`
@@ -353,7 +353,7 @@ def _read_npy(path: Path) -> Columns:
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
-def _convert_to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
+def convert_to_numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
     """Convert a column to float64, NaN if missing or overload; None if more than half are not numbers."""
     if isinstance(column, np.ndarray):
         return _replace_overload(column.astype(np.float64))
@@ -394,8 +394,8 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 def _mask_equal_rows(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
     """Return a mask of the rows whose cell equals a value: as a number, or as text in any case."""
-    wanted = _convert_to_numbers([value], decimal)
-    numbers = _convert_to_numbers(column, decimal)
+    wanted = convert_to_numbers([value], decimal)
+    numbers = convert_to_numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
         return np.asarray(numbers == wanted[0])
     return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)

@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.wall import posterior
-from analysis.wall.bank import ESTIMAND_RADIUS_M, FEATURES, Bank
+from analysis.wall.bank import ESTIMAND, FEATURES, Bank
 from analysis.wall.calibration import calibrate
 from daq_service.assessment.wall_bank import build_bank, open_bank, store_bank
 from daq_service.cli.offline.table_file import TableFile, read_table
@@ -26,9 +26,6 @@ from simulator.errors import SimulatorError
 HOUR = "due_h"
 """Column of a table with the hour of the test."""
 H_PER_YEAR = 8766.0
-ESTIMAND = (
-    f"mean over a disc of {1e3 * ESTIMAND_RADIUS_M:.0f} mm radius around the contact, lost since the baseline"
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
