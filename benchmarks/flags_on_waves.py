@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -63,6 +63,10 @@ class Scene:
     tof_s: float
     noise: float
     noise_ends_hz: float = RATE_HZ / 2.0
+    pink: bool = False
+    time_s: FloatArray = field(default_factory=lambda: TIME_S)
+    stretch: float = 1.0
+    """Width of the wave over that of the paper's chain: all times below are of that one."""
 
     def clean(self) -> FloatArray:
         """Return a sound record."""
@@ -75,6 +79,11 @@ class Scene:
     def some_noise(self, n: int) -> FloatArray:
         """Return n samples of noise."""
         noise = self.noise * self.random.standard_normal(n)
+        if self.pink:
+            spectrum = np.fft.rfft(noise) / np.sqrt(np.maximum(1.0, np.arange(n // 2 + 1)))
+            spectrum[0] = 0.0
+            pink = np.fft.irfft(spectrum, n)
+            return pink * (self.noise / pink.std())
         if self.noise_ends_hz >= RATE_HZ / 2.0:
             return noise
         spectrum = np.fft.rfft(noise)
@@ -110,13 +119,13 @@ def bent_to_90(scene: Scene) -> FloatArray:
 
 
 def second_strike(scene: Scene) -> FloatArray:
-    later_s = scene.isw_s + scene.random.uniform(280e-6, 450e-6)
+    later_s = scene.isw_s + scene.stretch * scene.random.uniform(280e-6, 450e-6)
     return scene.clean() + scene.height * scene.random.uniform(0.25, 0.5) * scene.wave(later_s)
 
 
 def knock(scene: Scene) -> FloatArray:
     """Add a ringing of 2 to 12 kHz and .1 to .4 that starts within 400 us of the ISW."""
-    since_s = TIME_S - scene.isw_s - scene.random.uniform(0.0, 400e-6)
+    since_s = (scene.time_s - scene.isw_s) / scene.stretch - scene.random.uniform(0.0, 400e-6)
     turns = scene.random.uniform(2e3, 12e3) * since_s + scene.random.random()
     decay = np.exp(-since_s.clip(0.0) / scene.random.uniform(0.1e-3, 0.6e-3))
     ringing = scene.random.uniform(0.1, 0.4) * decay * np.sin(2.0 * np.pi * turns)
@@ -124,7 +133,9 @@ def knock(scene: Scene) -> FloatArray:
 
 
 def foreign(scene: Scene, centre_s: float, height: float) -> FloatArray:
-    return height * SHAPES["gauss"]((TIME_S - centre_s) / scene.random.uniform(30e-6, 100e-6))
+    return height * SHAPES["gauss"](
+        (scene.time_s - centre_s) / (scene.stretch * scene.random.uniform(30e-6, 100e-6))
+    )
 
 
 def foreign_alone(scene: Scene) -> FloatArray:
@@ -132,25 +143,25 @@ def foreign_alone(scene: Scene) -> FloatArray:
 
 
 def foreign_before(scene: Scene) -> FloatArray:
-    centre_s = scene.isw_s + scene.random.uniform(120e-6, scene.tof_s)
+    centre_s = scene.isw_s + scene.random.uniform(120e-6 * scene.stretch, scene.tof_s)
     return scene.clean() + foreign(scene, centre_s, scene.random.uniform(0.2, 0.8))
 
 
 def foreign_anywhere(scene: Scene) -> FloatArray:
     return scene.clean() + foreign(
-        scene, scene.random.uniform(-50e-6, 1.15e-3), scene.random.uniform(0.2, 0.8)
+        scene, scene.stretch * scene.random.uniform(-50e-6, 1.15e-3), scene.random.uniform(0.2, 0.8)
     )
 
 
 def foreign_on_the_psw(scene: Scene) -> FloatArray:
-    centre_s = scene.isw_s + scene.tof_s + scene.random.uniform(-40e-6, 40e-6)
+    centre_s = scene.isw_s + scene.tof_s + scene.stretch * scene.random.uniform(-40e-6, 40e-6)
     return scene.clean() + foreign(scene, centre_s, scene.random.uniform(0.2, 0.8))
 
 
 def _lost(scene: Scene) -> slice:
-    after_s = scene.random.uniform(-30e-6, scene.tof_s + 90e-6)
-    first = PRETRIGGER + round((scene.isw_s + after_s) * RATE_HZ)
-    return slice(first, first + round(LOST_S * RATE_HZ))
+    after_s = scene.random.uniform(-30e-6 * scene.stretch, scene.tof_s + 90e-6 * scene.stretch)
+    first = round((scene.isw_s + after_s - scene.time_s[0]) * RATE_HZ)
+    return slice(first, first + round(LOST_S * scene.stretch * RATE_HZ))
 
 
 def lost_and_zero(scene: Scene) -> FloatArray:
@@ -168,7 +179,7 @@ def lost_and_held(scene: Scene) -> FloatArray:
 def broken_off(scene: Scene) -> FloatArray:
     """Fill the end of the record with zeros, at the latest from its last fifth."""
     volts = scene.clean()
-    volts[scene.random.integers(PRETRIGGER + 500, SAMPLES * 4 // 5) :] = 0.0
+    volts[scene.random.integers(volts.size * 3 // 26, volts.size * 4 // 5) :] = 0.0
     return volts
 
 
@@ -182,7 +193,7 @@ def lost_and_bridged(scene: Scene) -> FloatArray:
 def lost_and_closed_up(scene: Scene) -> FloatArray:
     """Shift the rest forward; noise follows at the end."""
     volts = np.delete(scene.clean(), _lost(scene))
-    return np.append(volts, scene.some_noise(SAMPLES - volts.size))
+    return np.append(volts, scene.some_noise(scene.time_s.size - volts.size))
 
 
 CASES: tuple[Callable[[Scene], FloatArray], ...] = (
@@ -214,19 +225,19 @@ def twin_waves() -> list[tuple[Wave, Wave, float]]:
     for size_m in (25.4e-3, 50.8e-3):
         model = ShotModel(ChainParameters(), plate, CorrosionParameters(size_m=size_m), cache_folder=None)
         gone = model.shot(through_hole=True)
-        silent = _sampled(gone.time_s, gone.force_n - gone.preload_n)
+        silent = sampled(gone.time_s, gone.force_n - gone.preload_n)
         for depth in np.linspace(0.0, 0.8, 17):
             force = model.shot(depth_fraction=float(depth))
             pushed = force.force_n - force.preload_n
             late = force.time_s > force.time_s[pushed.argmax()] + 200e-6
             tof_s = force.time_s[late][pushed[late].argmax()] - force.time_s[pushed.argmax()]
-            found.append((_sampled(force.time_s, pushed), silent, float(tof_s)))
+            found.append((sampled(force.time_s, pushed), silent, float(tof_s)))
     return found
 
 
-def _sampled(time_s: FloatArray, pushed_n: FloatArray) -> Wave:
+def sampled(time_s: FloatArray, pushed_n: FloatArray, at_s: FloatArray = TIME_S) -> Wave:
     peak_s, shape = time_s[pushed_n.argmax()], pushed_n / pushed_n.max()
-    return lambda isw_s: np.interp(TIME_S - isw_s + peak_s, time_s, shape, left=0.0)
+    return lambda isw_s: np.interp(at_s - isw_s + peak_s, time_s, shape, left=0.0)
 
 
 def drawn_wave(random: Generator, name: str) -> tuple[Wave, Wave, float]:

@@ -17,6 +17,7 @@ from analysis.waves.features import (
     extract_from_average,
 )
 from analysis.waves.quality_gate import ACCEPTED
+from analysis.waves.record_reduction import ExtractionSettings
 from analysis.waves.template import compare_with_others, flag_residual_reflections, learn_template
 from hardware_drivers.measurement import Shot
 
@@ -68,6 +69,7 @@ def combine_shots(
     baseline: FrozenBaseline | None,
     minimum_valid_shots: int,
     of_set: Literal["mean_of_shots", "averaged_waveform"],
+    settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> CombinedShots:
     """Combine the features of a set's shots; flag those that differ from the others.
 
@@ -82,6 +84,8 @@ def combine_shots(
         The frozen one: residual reflections are flagged by its amplitude ratio.
     of_set
         The set's feature: mean of the features of valid shots, or feature of their mean waveform (paper).
+    settings
+        For the extraction from the mean waveform.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def combine_shots(
     if of_set != "mean_of_shots" and mean.quality != "bad":
         accepted_shots = list(compress(shots, is_accepted))
         valid = [shot.waveform for shot, one in zip(accepted_shots, accepted, strict=True) if one.valid]
-        of_average = extract_from_average(valid)
+        of_average = extract_from_average(valid, settings)
         if of_average.valid:
             mean = replace(mean, mean=of_average.values())
         else:

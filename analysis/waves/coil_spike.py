@@ -13,12 +13,10 @@ from typing import Literal
 import numpy as np
 
 from analysis.errors import RecordError
-from analysis.waves.record_reduction import FloatArray, median
+from analysis.waves.record_reduction import STANDS_OUT, FloatArray, median
 from hardware_drivers.measurement import Waveform
 
 LEVEL_PART, SEEN_PART = 0.5, 0.05
-NOISE_PART = 6.0
-"""Crests of noise in a record of a million samples stay below 5.2 of its rms."""
 WAVE_BLOCK_S = 10e-6
 """Mean in which the wave is looked for: an electrical spike hardly shows in it."""
 WAVE_FRONT_S = 0.3e-3
@@ -144,7 +142,7 @@ def measure_coil_spike(
     noise_rms_v = float(noise.volts().std())
     volts = sign * (strike.volts() - level)
     trigger_v = sign * (trigger_level_v - level)
-    limit_v = max(LEVEL_PART * abs(trigger_v), NOISE_PART * noise_rms_v)
+    limit_v = max(LEVEL_PART * abs(trigger_v), STANDS_OUT * noise_rms_v)
     off, nominal = round(pulse_s * rate_hz), round((pulse_s + fall_s) * rate_hz)
     earliest = off + round(EARLIEST_FALL * fall_s * rate_hz)
     if nominal >= volts.size:
@@ -155,7 +153,7 @@ def measure_coil_spike(
     front, wave_v = _find_wave_front(volts, earliest, rate_hz)
     seen = wave_v > limit_v
     end = front if seen else nominal
-    seen_v = max(SEEN_PART * abs(trigger_v), NOISE_PART * noise_rms_v)
+    seen_v = max(SEEN_PART * abs(trigger_v), STANDS_OUT * noise_rms_v)
     on, after = (
         _measure_edge(part, rate_hz, seen_v, limit_v, trigger_v) for part in (volts[:off], volts[off:end])
     )
@@ -237,7 +235,7 @@ def _propose_trigger_level(trigger_v: float, wave_v: float, noise_rms_v: float, 
     ``sign``, 1 or -1; the proposal counts from the quiet level with its sign.
     """
     lowest, highest = FITTING_LEVEL
-    proposed_v = max(LEVEL_OF_WAVE * wave_v, NOISE_PART * noise_rms_v)
+    proposed_v = max(LEVEL_OF_WAVE * wave_v, STANDS_OUT * noise_rms_v)
     if lowest <= trigger_v / wave_v <= highest or proposed_v > highest * wave_v:
         return None
     return sign * float(f"{proposed_v:.2g}")

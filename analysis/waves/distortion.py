@@ -11,7 +11,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waves.outline import FEWEST, FROM_ISW, FROM_PSW, LENGTHS, N_ISW, ONE_WALL_S, STEP_S, Outline
+from analysis.waves.outline import (
+    FEWEST,
+    FROM_ISW,
+    FROM_PSW,
+    LENGTHS,
+    N_ISW,
+    ONE_WALL_S,
+    ROWS_AT_ONCE,
+    STEP_S,
+    Outline,
+)
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, column_medians, median
 
 N_PSW = N_ISW + int(LENGTHS[1])
@@ -33,8 +43,6 @@ CUT_SD2, CUT_SCATTER2, LEAST_CUT, UNEXPLAINED = 25.0, 80.0, 1e-3, 0.3
 the ISW's amplitude squared; and what it may leave of that."""
 GRAIN = 1e-13
 """Of the sum of squares: what keeps a column without a slope from being singular."""
-ROWS_AT_ONCE = 64
-"""So that a long file needs little memory."""
 
 
 def is_same_wall(tofs_s: FloatArray) -> bool:

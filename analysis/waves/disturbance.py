@@ -15,7 +15,7 @@ import numpy as np
 
 from analysis.waves.pulses import NOISE_CRESTS, Pulse
 from analysis.waves.quality_gate import DISTURBED, LOST_SAMPLES
-from analysis.waves.record_reduction import FloatArray, ReducedRecord, median, moving_mean
+from analysis.waves.record_reduction import STANDS_OUT, FloatArray, ReducedRecord, median, moving_mean
 
 FLAT_TOP_REACH = 0.3
 """Of the width at half height: where the top is compared with its middle, means over a fifth of the width."""
@@ -29,8 +29,6 @@ LONGEST_TOP, FEWEST_AT_TOP = 0.15, 16
 """Of the width, and samples, at exactly the highest value: a wave of 100 codes stays on its last for .12."""
 LAST_CODE = 1.6
 """The same of a wave of n codes, times the root of n: cos^4 has 1.24, and noise of a code is two more."""
-DEEPEST_PULL = 0.05
-"""The preload is 1 % of the wave; slow vibration of the twin's chain adds 3 %, at half the gain 5 %."""
 LOOKED_AFTER_PSW_S = 520e-6
 """Nothing is measured later."""
 WAKE_S = (50e-6, 150e-6)
@@ -111,7 +109,7 @@ def is_clipped(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: flo
 
 
 def measure_deepest_pull(
-    record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
+    record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float, allowed: float
 ) -> tuple[float, bool]:
     """Measure how far the record falls below its quiet level, and whether more than a strike explains.
 
@@ -125,7 +123,9 @@ def measure_deepest_pull(
     psw_time_s
         Time of the PSW from the trigger; None: there is none.
     noise_v
-        Standard deviation of a block mean in V.
+        Standard deviation of the smoothed record in V.
+    allowed
+        Depth over the ISW's amplitude that a strike explains.
 
     Returns
     -------
@@ -142,8 +142,8 @@ def measure_deepest_pull(
     deepest = -float(fallen.min()) / isw_v
     if psw_time_s is not None:
         begins, ends = (max(0, round(record.index(psw_time_s + after_s))) for after_s in WAKE_S)
-        fallen[begins:ends] += (DEEPEST_WAKE - DEEPEST_PULL) * isw_v
-    limit = -(DEEPEST_PULL * isw_v + NOISE_CRESTS * noise_v / math.sqrt(width))
+        fallen[begins:ends] += max(0.0, DEEPEST_WAKE - allowed) * isw_v
+    limit = -(allowed * isw_v + NOISE_CRESTS * noise_v)
     lowest = int(fallen.argmin())
     if fallen[lowest] > limit:
         return deepest, False
@@ -190,7 +190,7 @@ def has_drift(
     foot = max(record.quiet_blocks - round(foot_s / record.step_s), min(width, record.quiet_blocks))
     quiet = record.blocks_v[: foot - foot % width]
     steps = quiet.reshape(-1, width).sum(axis=1) / width
-    limit = max(least_fraction * isw.amplitude_v, 6.0 * noise_v / math.sqrt(width))
+    limit = max(least_fraction * isw.amplitude_v, STANDS_OUT * noise_v / math.sqrt(width))
     return bool(_end_level(record, psw) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
 
 

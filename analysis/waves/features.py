@@ -38,16 +38,18 @@ from analysis.waves.disturbance import (
     is_flat_topped,
     measure_deepest_pull,
 )
-from analysis.waves.noise_colour import strongest_block_noise_v
-from analysis.waves.outline import Outline, sample_outline
+from analysis.waves.noise_colour import strongest_block_noise_v, wandering_noise_v
+from analysis.waves.outline import FEWEST, Outline, sample_outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, interpolate_parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
     MAD_TO_SD,
+    STANDS_OUT,
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
     VoltRecord,
+    check_record,
     column_medians,
     equal_weights,
     reduce_records,
@@ -57,16 +59,14 @@ from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.8"
+EXTRACTOR_VERSION = "1.9"
 """Changes whenever any feature of any record or set would, and so with the flags."""
 
-FAR_APART, FEWEST_FOR_FAR = 10.0, 7
+FAR_APART = 10.0
 """Standard deviations: of ten normal values one lies so far from the others in two sets of a thousand."""
 JUMP_S, FRONT_S = 2e-6, 20e-6
 JUMP_PART = 0.7
 """Of the record's highest: a spike is that itself, less what noise adds elsewhere."""
-STIRRED_SNR = 6.0
-"""Height near the trigger over the noise's rms; the highest of 200 samples of noise alone stays below 5."""
 
 RECORDS_AT_ONCE = 32
 """So that a long file needs little memory."""
@@ -305,24 +305,39 @@ def _extract_records(
 ) -> list[ShotFeatures]:
     """Extract the features of records, in their order; at most 32 of one kind are processed together.
 
-    Raise RecordError as `extract_features`.
+    Each time is taken, and given back, in the time in which the ISW has the width of the paper's chain
+    (`ExtractionSettings.stretch`). Raise RecordError as `extract_features`.
     """
+    stretch, usual = settings.stretch, settings.unstretched()
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)
     found: dict[int, ShotFeatures] = {}
     for numbers in kinds.values():
+        check_record(given[numbers[0]], settings)
         for k in range(0, len(numbers), RECORDS_AT_ONCE):
             together = numbers[k : k + RECORDS_AT_ONCE]
-            alike = [given[number] for number in together]
-            found.update(zip(together, _extract_same_kind(alike, settings, with_sd=with_sd), strict=True))
+            alike = [
+                replace(given[number], sample_rate_hz=given[number].sample_rate_hz * stretch)
+                for number in together
+            ]
+            found.update(
+                zip(together, _extract_same_kind(alike, usual, stretch, with_sd=with_sd), strict=True)
+            )
     return [found[number] for number in range(len(given))]
 
 
+def _stretch_times(values: Mapping[str, float], stretch: float) -> dict[str, float]:
+    """Return the values by name with those in s or V s multiplied by a factor."""
+    return {name: v * stretch if name.endswith("_s") else v for name, v in values.items()}
+
+
 def _extract_same_kind(
-    given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool
+    given: Sequence[VoltRecord], settings: ExtractionSettings, stretch: float, *, with_sd: bool
 ) -> list[ShotFeatures]:
     """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`).
+
+    Rate and settings are those of a time ``stretch`` times as fast, the features are not.
 
     A record with a false trigger or lost samples has no feature but its noise. Raise RecordError if the
     records are too short, too coarse or without pre-trigger.
@@ -347,25 +362,30 @@ def _extract_same_kind(
         else {}
         for record, found, (flags, _) in zip(records, pulses, flagged, strict=True)
     ]
+    sds = [
+        propagate_noise_to_features(record, found, values, settings) if with_sd else {}
+        for record, found, values in zip(records, pulses, measured, strict=True)
+    ]
+    measured = [_stretch_times(values, stretch) for values in measured]
     return [
         ShotFeatures(
             **values,
             **_grade_flags(flags | {"clipped"} if one.clipped else flags),
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
-            outline=_sample_outline(record, found),
-            sd=propagate_noise_to_features(record, found, values, settings) if with_sd else {},
+            outline=_sample_outline(record, found, stretch),
+            sd=_stretch_times(sd, stretch),
         )
-        for one, record, found, (flags, pull), values in zip(
-            given, records, pulses, flagged, measured, strict=True
+        for one, record, found, (flags, pull), values, sd in zip(
+            given, records, pulses, flagged, measured, sds, strict=True
         )
     ]
 
 
-def _sample_outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
+def _sample_outline(record: ReducedRecord, pulses: Pulses, stretch: float) -> Outline | None:
     """Sample the outline of a record; None if its incident or reflected wave is missing."""
     isw, psw = pulses.isw, pulses.psw
-    return None if isw is None or psw is None else sample_outline(record, isw, psw)
+    return None if isw is None or psw is None else sample_outline(record, isw, psw, stretch)
 
 
 def _find_flags(
@@ -391,11 +411,14 @@ def _find_flags(
     isw = pulses.isw
     if isw is None:
         return {"false_trigger" if stirred else "missed"}, math.nan
-    found, pull = _find_disturbance_flags(record, pulses, isw, settings, record.block_noise_v)
+    noise_v = record.block_noise_v
+    smooth_noise_v = noise_v / math.sqrt(record.smooth_blocks)
+    found, pull = _find_disturbance_flags(record, pulses, isw, settings, noise_v, smooth_noise_v)
     if found:
-        # What this noise cannot do it may where it is stronger in the wave's own band.
+        # What this noise cannot do it may where it is stronger in the wave's own band, or below.
         noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
-        found, pull = _find_disturbance_flags(record, pulses, isw, settings, noise_v)
+        smooth_noise_v = wandering_noise_v(record, noise_v)
+        found, pull = _find_disturbance_flags(record, pulses, isw, settings, noise_v, smooth_noise_v)
     found |= still
     if pulses.stray:
         found.add(DISTURBED)
@@ -414,15 +437,22 @@ def _find_flags(
 
 
 def _find_disturbance_flags(
-    record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
+    record: ReducedRecord,
+    pulses: Pulses,
+    isw: Pulse,
+    settings: ExtractionSettings,
+    noise_v: float,
+    smooth_noise_v: float,
 ) -> tuple[set[str], float]:
     """Return the flags of disturbances that exceed the noise, and the deepest pull over the ISW's amplitude.
 
     The flags are ``disturbed``, ``clipped`` and ``baseline``; ``noise_v`` is the standard deviation of a
-    block mean in V.
+    block mean in V, ``smooth_noise_v`` that of the smoothed record.
     """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-    pull, pulled = measure_deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
+    pull, pulled = measure_deepest_pull(
+        record, isw.amplitude_v, psw_time_s, smooth_noise_v, settings.deepest_pull_fraction
+    )
     seen = {
         DISTURBED: pulled or has_edge(record, isw.amplitude_v, settings.isw_fwhm_s, noise_v),
         "clipped": is_flat_topped(record, isw.matched_time_s, isw.fwhm_s, noise_v),
@@ -448,7 +478,7 @@ def _check_trigger_jumps(records: Sequence[ReducedRecord]) -> list[tuple[bool, b
     if before.size == 0 or after.size == 0:
         return [(False, False)] * len(near)
     height = np.maximum(np.abs(after).max(axis=1), np.abs(before).max(axis=1))
-    stirred = height > STIRRED_SNR * np.array([record.noise_rms_v for record in records])
+    stirred = height > STANDS_OUT * np.array([record.noise_rms_v for record in records])
     means = np.ascontiguousarray(before).sum(axis=1) / before.shape[1]
     risen = np.abs(after[:, : jump + 1] - means[:, None]).max(axis=1)
     jumped = stirred & (risen >= JUMP_PART * height)
@@ -544,7 +574,7 @@ def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM
     """Average the features of a set's valid shots, without far outliers of each feature.
 
     A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
-    `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
+    `FEWEST` shots are valid: the mean of all is the better one but for rogue shots.
     A NaN is left out of its feature's mean. Raise InvalidInputError for ``minimum_valid`` below 1.
 
     Parameters
@@ -572,7 +602,7 @@ def average_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM
             reason=f"{reason} ({listed})" if listed else reason,
         )
     table = np.array([_EVERY_FEATURE(shot) for shot in valid])
-    if n_valid >= FEWEST_FOR_FAR:
+    if n_valid >= FEWEST:
         table = _remove_outliers(table)
     mean, sd = _column_statistics(table)
     reasons = []

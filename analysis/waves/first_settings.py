@@ -18,20 +18,19 @@ from analysis.waves.coil_spike import (
     HOLDOFF_DIGITS,
     HOLDOFF_PART,
     LEVEL_OF_WAVE,
-    NOISE_PART,
     SMALLEST_ROOM,
     WAVE_BLOCK_S,
     SpikeSurvey,
     measure_coil_spike,
 )
-from analysis.waves.record_reduction import FloatArray, median
+from analysis.waves.record_reduction import STANDS_OUT, FloatArray, median
 from hardware_drivers.measurement import Waveform
 
 HEADROOM = 1.5
 """A range over the highest voltage of a shot: a drop height that scatters by 8 % (one SD) lets the wave
 scatter by 5 %, and a coupling that gets better has room."""
 LEVEL_OF_NOISE = 8.0
-"""A trigger level is at least this times the noise's rms, so that crests (`NOISE_PART`) leave it alone."""
+"""A trigger level is at least this times the noise's rms, so that crests (`STANDS_OUT`) leave it alone."""
 SHORTEST_PRETRIGGER_S = 100e-6
 """The paper's."""
 QUIET_S = 50e-6
@@ -146,7 +145,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     else:
         above_v = {name: sign * (level_v - offsets_v[name]) for name in struck}
         for name, wave_v in waves_v.items():
-            if above_v[name] <= NOISE_PART * noises_v[name]:
+            if above_v[name] <= STANDS_OUT * noises_v[name]:
                 troubles.setdefault(name, "noise")
             elif not FITTING_LEVEL[0] <= above_v[name] / wave_v <= FITTING_LEVEL[1]:
                 troubles.setdefault(name, "level")

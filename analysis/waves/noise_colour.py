@@ -19,12 +19,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.record_reduction import FloatArray, ReducedRecord, estimate_fine_noise, median
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, ReducedRecord, estimate_fine_noise, median
 
 SLOW_HZ = (20e3, 100e3)
 """Band that means over some 10 us take in; a knock or hum, slower, is no noise."""
-LEAST_EXCESS, MEDIAN_OF_SQUARES = 2.5, 0.455
+LEAST_EXCESS = 2.5
 """By chance the median of a dozen squares of normal values is that much above its usual one in 5 %."""
+RED_GROWTH = (0.7, 1.4)
+"""Variance of a mean over that of half as long: 1/2 for white noise, 1 for pink noise. Noise that ends in the
+band grows by more from one block to two, or by 1/2 from two to four."""
 BANDS_HZ = (math.inf, 250e3, 100e3, 40e3)
 """Of block means: all, down to what a flank (5 us) and the top and the matched filter of a wave take in."""
 FEWEST_COEFFICIENTS = 4
@@ -118,10 +121,36 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
     columns = slice(N_LEVEL + math.ceil(first) - 1, min(n, N_LEVEL + math.floor(last)))
     if columns.stop - columns.start >= FEWEST_COEFFICIENTS:
         cosines = _build_quiet_basis(n, round(isw_fwhm_s / record.step_s))[:, columns]
-        slow2 = median((cosines.T @ record.blocks_v[:n]) ** 2) / MEDIAN_OF_SQUARES
+        slow2 = median((cosines.T @ record.blocks_v[:n]) ** 2) * MAD_TO_SD**2
         if slow2 > LEAST_EXCESS * power2:
             power2 = slow2
     return math.sqrt(power2)
+
+
+def wandering_noise_v(record: ReducedRecord, block_noise_v: float) -> float:
+    """Return the SD in V that noise gives the smoothed record around its quiet level.
+
+    That of white noise with the block noise ``block_noise_v``; where means of two and of four blocks vary as
+    those of pink noise do, that of noise whose octaves go on like that, at most as pink noise.
+    """
+    white_v = block_noise_v / math.sqrt(record.smooth_blocks)
+    fine2, mid2, coarse2 = (estimate_fine_noise(_average_blocks(record.blocks_v, n)) ** 2 for n in (1, 2, 4))
+    low, high = RED_GROWTH
+    if not (low * fine2 <= mid2 <= high * fine2 and coarse2 >= low * mid2 > 0.0):
+        return white_v
+    growth = min(1.0, math.sqrt(coarse2 / fine2))
+    first2 = coarse2 * growth ** math.log2(record.smooth_blocks / 4)
+    octaves, of_level = (
+        round(math.log2(n / record.smooth_blocks)) for n in (record.blocks_v.size, record.quiet_blocks)
+    )
+    # Each octave has half of the variance of such means; the quiet level wanders in those longer than itself.
+    powers = [growth**k for k in range(octaves)]
+    return max(white_v, math.sqrt(0.5 * first2 * (sum(powers) + sum(powers[max(0, of_level) :]))))
+
+
+def _average_blocks(blocks_v: FloatArray, n: int) -> FloatArray:
+    """Return the means of each ``n`` blocks; blocks after the last full group are left out."""
+    return np.asarray(np.einsum("ij->i", blocks_v[: blocks_v.size // n * n].reshape(-1, n)) / n)
 
 
 def _count_quiet_blocks(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:

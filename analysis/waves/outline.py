@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.waves.noise_colour import wandering_noise_v
 from analysis.waves.pulses import Pulse
-from analysis.waves.record_reduction import FloatArray, ReducedRecord
+from analysis.waves.record_reduction import MAD_TO_SD, STANDS_OUT, FloatArray, ReducedRecord
 
 STEP_S = 15e-6
 """Between points; each is a mean over `TOP_SMOOTHING_S`, so that nothing wider than 30 us falls between."""
@@ -37,9 +38,8 @@ TIMES_USUAL, TIMES_NOISE = 3.0, 2.2
 ONE_WALL_S, SAME_WALL_S = 30e-6, 25e-6
 """Eight of ten shots of one wall come within 10 us at ``laboratory``, 25 us at ``plant``; in a file of many
 walls a shot has its own wall's next to it where others come within the second."""
-LEAST_EARLY_S, EARLY_SD = 20e-6, 6.0
+LEAST_EARLY_S = 20e-6
 """Healthy shots of a set come up to 7 us before the middle one at ``laboratory``, 15 us at ``plant``."""
-UPPER_QUARTER_SD = 0.6745
 LARGEST_PART_EARLY = 1 / 3
 """More are another wall."""
 MOST_OTHERS = 400
@@ -58,13 +58,16 @@ class Outline:
         Those of all parts, shape (n_points,); NaN where the record does not reach.
     sd
         Standard deviation that noise gives each.
+    stretch
+        The ISW's width over that of the paper's chain, in whose time the points lie.
     """
 
     points: FloatArray
     sd: float
+    stretch: float = 1.0
 
 
-def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
+def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse, stretch: float = 1.0) -> Outline:
     """Sample a record around ISW and PSW at fixed points, in units of the ISW's height.
 
     Points that the record does not reach are NaN.
@@ -73,8 +76,8 @@ def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
     _fill_points(record, isw, FROM_ISW, stride, points[:N_ISW])
     _fill_points(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
-    noise_v = record.block_noise_v / math.sqrt(record.smooth_blocks)
-    return Outline(points=points, sd=noise_v / isw.amplitude_v)
+    noise_v = wandering_noise_v(record, record.block_noise_v)
+    return Outline(points=points, sd=noise_v / isw.amplitude_v, stretch=stretch)
 
 
 def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
@@ -164,7 +167,7 @@ def _find_early_shots(
         if like_s.size < FEWEST - 1:
             continue
         middle_s, later_s = like_s[like_s.size // 2], like_s[3 * like_s.size // 4]
-        scatter_s = (later_s - middle_s) / UPPER_QUARTER_SD
-        if tofs_s[index] < middle_s - max(LEAST_EARLY_S, EARLY_SD * scatter_s):
+        scatter_s = (later_s - middle_s) * MAD_TO_SD
+        if tofs_s[index] < middle_s - max(LEAST_EARLY_S, STANDS_OUT * scatter_s):
             early.append(index)
     return early if len(early) <= LARGEST_PART_EARLY * tofs_s.size else []

@@ -8,9 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.noise_colour import strongest_block_noise_v
+from analysis.waves.noise_colour import strongest_block_noise_v, wandering_noise_v
 from analysis.waves.record_reduction import (
     MAD_TO_SD,
+    STANDS_OUT,
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
@@ -24,8 +25,6 @@ __all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
 
 LATEST_ISW_PER_FWHM = 2.0
 """After the trigger: a wave that fires it itself peaks within one width."""
-STANDS_OUT = 6.0
-"""Standard deviations: the highest of a thousand values of noise stays below 4.5."""
 NOISE_CRESTS = 4.5
 """Standard deviations: of a hundred independent values noise passes them in one record of 3,000."""
 ALLOWED_NOISE = 0.0095
@@ -146,18 +145,19 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         ssw = _find_first_pulse(
             record,
             maxima,
-            psw_index + settings.ssw_after_psw_earliest_s / record.step_s,
+            psw_index + settings.window_half_width_s / record.step_s,
             psw_index + settings.ssw_after_psw_latest_s / record.step_s,
             1.0,
             max(floor, settings.ssw_below_fraction * isw.amplitude_v),
         )
     double, merged, stray = _check_extra_pulses(record, isw, psw, settings, 0.0)
-    if double or merged or stray:
-        noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
+    second = psw is not None and _has_second_reflection(record, maxima, isw, psw, settings, 0.0)
+    if double or merged or stray or second:
+        noise_v = wandering_noise_v(record, strongest_block_noise_v(record, isw.time_s, isw.fwhm_s))
         double, merged, stray = _check_extra_pulses(record, isw, psw, settings, noise_v)
-    if psw is not None and not double:
-        double = _has_second_reflection(record, maxima, isw, psw, settings)
-    return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged, stray=stray)
+        noise_v = wandering_noise_v(record, record.block_noise_v)
+        second = psw is not None and _has_second_reflection(record, maxima, isw, psw, settings, noise_v)
+    return Pulses(isw=isw, psw=psw, ssw=ssw, double=double or second, psw_merged=merged, stray=stray)
 
 
 def measure_first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
@@ -198,7 +198,7 @@ def search_windows_s(
     }
     if psw_time_s is not None:
         windows["SSW"] = (
-            psw_time_s + settings.ssw_after_psw_earliest_s,
+            psw_time_s + settings.window_half_width_s,
             psw_time_s + settings.ssw_after_psw_latest_s,
         )
     return windows
@@ -372,10 +372,10 @@ def _check_extra_pulses(
 ) -> tuple[bool, bool, bool]:
     """Return whether there is a second strike, a merged PSW, and a pulse that no strike causes.
 
-    ``noise_v``, the standard deviation of a block mean in V, raises the thresholds where it exceeds what they
-    allow for; 0 leaves them.
+    ``noise_v``, the standard deviation of the smoothed record in V, raises the thresholds where it exceeds
+    what they allow for; 0 leaves them.
     """
-    excess_v = max(0.0, noise_v / math.sqrt(record.smooth_blocks) - ALLOWED_NOISE * isw.amplitude_v)
+    excess_v = _excess_noise_v(isw, noise_v)
     double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
     merged = psw is not None and not psw.regular
     stray, crest_v = False, NOISE_CRESTS * excess_v
@@ -403,19 +403,30 @@ def _check_extra_pulses(
     return double, merged, stray
 
 
+def _excess_noise_v(isw: Pulse, noise_v: float) -> float:
+    """Return by how much noise, an SD in V of the smoothed record, exceeds what the limits allow for."""
+    return max(0.0, noise_v - ALLOWED_NOISE * isw.amplitude_v)
+
+
 def _has_second_reflection(
-    record: ReducedRecord, maxima: list[int], isw: Pulse, psw: Pulse, settings: ExtractionSettings
+    record: ReducedRecord,
+    maxima: list[int],
+    isw: Pulse,
+    psw: Pulse,
+    settings: ExtractionSettings,
+    noise_v: float,
 ) -> bool:
     """Check for a hidden second strike by its reflection, when the first reflection covers its wave.
 
     The ratio of that reflection to the second wave is that of PSW to ISW, and it follows the PSW by about the
     time between the strikes. The PSW hides a wave that came about one time of flight after the first. Return
-    False for a time of flight above ``second_reflection_latest_tof_s``.
+    False for a time of flight above ``second_reflection_latest_tof_s``. ``noise_v`` is as in
+    `_check_extra_pulses`.
     """
     tof_s = psw.matched_time_s - isw.matched_time_s
     if tof_s > settings.second_reflection_latest_tof_s:
         return False
-    from_tof_s = settings.second_reflection_from_tof_s
+    from_tof_s = settings.window_half_width_s
     earliest_s = max(settings.second_reflection_earliest_s, tof_s - from_tof_s)
     latest_s = min(settings.second_reflection_latest_s, tof_s + from_tof_s)
     first = record.index(psw.matched_time_s + earliest_s)
@@ -423,7 +434,8 @@ def _has_second_reflection(
     highest = max((float(record.matched_v[k]) for k in maxima if first <= k <= last), default=0.0)
     # The second wave may stand on the PSW: no more of it counts than a plate sends back.
     reflected_v = min(psw.amplitude_v, settings.highest_reflection_fraction * isw.amplitude_v)
-    return highest > settings.second_reflection_fraction * reflected_v
+    crest_v = NOISE_CRESTS * _excess_noise_v(isw, noise_v)
+    return highest > settings.double_above_fraction * reflected_v + crest_v
 
 
 def find_prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:

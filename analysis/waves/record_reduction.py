@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,8 +20,13 @@ from analysis.waves.fft_length import next_fast_length
 
 FloatArray = NDArray[np.float64]
 
+USUAL_FWHM_S = 64.7e-6
+"""Width of the incident wave of the paper's chain. Every time in `analysis.waves` is that of a wave of this
+width: others are extracted as if time ran at another rate (`ExtractionSettings.stretch`)."""
 KERNEL_WIDTH_PER_FWHM = 2.75
 """Width of a cos^4 pulse over its full width at half maximum: pi / (2 arccos(2^-1/4)) = 2.747."""
+STANDS_OUT = 6.0
+"""Standard deviations of what is no noise: crests in a record of a million samples stay below 5.2."""
 MAD_TO_SD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 THIRD_DIFFERENCE = math.sqrt(20.0)
@@ -42,20 +47,21 @@ USUAL_MEDIAN_BIN = 54
 class ExtractionSettings:
     """Search windows and limits for pulses; the defaults suit the paper's disk-sensor transducer.
 
-    Windows count from the ISW's peak. Fractions are of the ISW's amplitude.
+    Windows count from the ISW's peak. Fractions are of the ISW's amplitude. For a wave of another width
+    see `for_width`.
     """
 
-    isw_fwhm_s: float = 64.7e-6
+    isw_fwhm_s: float = USUAL_FWHM_S
     """Full width at half maximum of the ISW in the frozen baseline; it sets the matched filter's width."""
     psw_earliest_s: float = 200e-6
     psw_latest_s: float = 900e-6
     """The paper saw 320-420 us; a 50.8 mm patch thinned by 85 % sends the wave back after 800 us."""
     psw_leading_fraction: float = 0.5
     """The PSW is the first wave of the window that has this part of the strongest one's height."""
-    ssw_after_psw_earliest_s: float = 90e-6
     ssw_after_psw_latest_s: float = 350e-6
     window_half_width_s: float = 90e-6
-    """Half-width of the area windows, and reach of the autocorrelation gate beyond ISW and PSW."""
+    """Half-width of the area windows, and reach of the autocorrelation gate beyond ISW and PSW. The SSW comes
+    later after the PSW; a hidden second strike, and its slower wave, differ by less from the PSW's time."""
     autocorrelation_search_half_width_s: float = 40e-6
     autocorrelation_triangle_s: float = 10e-6
     """Base of the triangle that smooths the autocorrelation."""
@@ -71,21 +77,17 @@ class ExtractionSettings:
     """Nor does one below this many standard deviations of the matched filter's noise."""
     ssw_below_fraction: float = 0.02
     double_above_fraction: float = 0.22
-    """A third pulse above this is a second strike (the SSW is .08 to .19)."""
+    """A third pulse above this is a second strike (the SSW is .08 to .19). Such a strike sends that part of
+    the PSW back, too; what else comes then stays below .2 of it on the twin's plates of 6 to 25 mm."""
     stray_above_fraction: float = 0.09
     """A pulse before the PSW above this is none of the strike's (the ISW's own after-wave is .05)."""
     stray_width_ratio: float = 0.85
     """A PSW narrower than this times the ISW is none: no wall sends back a shorter push than it got."""
-    second_reflection_fraction: float = 0.22
-    """A second strike of a quarter of the first sends a quarter of the PSW back; what else comes then stays
-    below .2 of it on all the twin's plates of 6 to 25 mm."""
     highest_reflection_fraction: float = 0.6
     """The PSW counts for no more there: a second strike on top of it makes it larger."""
     second_reflection_earliest_s: float = 230e-6
     second_reflection_latest_s: float = 520e-6
     """After the PSW: what the second strike came after the first, and more since smaller waves are slower."""
-    second_reflection_from_tof_s: float = 90e-6
-    """By how much a hidden strike, and its slower wave, may differ from that (assumption)."""
     second_reflection_latest_tof_s: float = 480e-6
     """Beyond, a thinned patch itself sends waves at that time, and a second strike comes before the PSW."""
     double_above_amplitude_ratio: float = 0.97
@@ -100,6 +102,9 @@ class ExtractionSettings:
     """A PSW wider than this times the ISW holds more than one wave."""
     merged_distance_s: float = 120e-6
     """A second maximum this near the PSW is merged with it."""
+    deepest_pull_fraction: float = 0.05
+    """How far a strike lets the record fall below its level: the preload, 1 %, and slow vibration of the
+    twin's chain, 3 %, at half the gain 5 %. A pressed chain may let go of all its precompression."""
     baseline_drift_fraction: float = 0.03
     """Drift of the quiet parts of the record that flags it."""
 
@@ -112,12 +117,34 @@ class ExtractionSettings:
         for low, high in (
             ("psw_earliest_s", "psw_latest_s"),
             ("isw_fwhm_s", "psw_latest_s"),
-            ("ssw_after_psw_earliest_s", "ssw_after_psw_latest_s"),
+            ("window_half_width_s", "ssw_after_psw_latest_s"),
         ):
             if getattr(self, low) >= getattr(self, high):
                 raise InvalidInputError(
                     f"{low} is {getattr(self, low)} s; it must lie below {high} = {getattr(self, high)} s"
                 )
+
+    @classmethod
+    def for_width(cls, isw_fwhm_s: float, **given: float) -> ExtractionSettings:
+        """Return the defaults with every time in proportion to the ISW's width; ``given`` fields as they are.
+
+        Raise InvalidInputError for values that `ExtractionSettings` refuses.
+        """
+        return replace(cls()._times(isw_fwhm_s / USUAL_FWHM_S), **{"isw_fwhm_s": isw_fwhm_s, **given})
+
+    @property
+    def stretch(self) -> float:
+        """Return the ISW's width over that of the paper's chain."""
+        return self.isw_fwhm_s / USUAL_FWHM_S
+
+    def unstretched(self) -> ExtractionSettings:
+        """Return the settings in the time in which the ISW has the width of the paper's chain."""
+        return self if self.stretch == 1.0 else self._times(1.0 / self.stretch)
+
+    def _times(self, factor: float) -> ExtractionSettings:
+        """Return the settings with every time multiplied by a factor."""
+        times = {f.name: getattr(self, f.name) * factor for f in fields(self) if f.name.endswith("_s")}
+        return replace(self, **times)
 
     @property
     def kernel_width_s(self) -> float:
@@ -379,7 +406,6 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
     n_samples, sample_rate_hz, pretrigger_samples = given[0].kind
     block_samples = max(1, math.floor(settings.block_s * sample_rate_hz * (1.0 + 1e-9)))
     step_s = block_samples / sample_rate_hz
-    _check_record(n_samples, sample_rate_hz, pretrigger_samples, step_s, settings)
     n_blocks = n_samples // block_samples
     blocks = np.empty((len(given), n_blocks))
     for row, one in zip(blocks, given, strict=True):
@@ -428,14 +454,9 @@ def minimum_after_isw_s(settings: ExtractionSettings) -> float:
     return settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
 
 
-def _check_record(
-    n_samples: int,
-    sample_rate_hz: float,
-    pretrigger_samples: int,
-    step_s: float,
-    settings: ExtractionSettings,
-) -> None:
+def check_record(given: VoltRecord, settings: ExtractionSettings) -> None:
     """Raise RecordError if a record's length, sample rate or pre-trigger is too small."""
+    n_samples, sample_rate_hz, pretrigger_samples = given.kind
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise RecordError(f"sample_rate_hz is {sample_rate_hz}; it must be positive")
     if not 0 < pretrigger_samples < n_samples:
@@ -443,6 +464,7 @@ def _check_record(
             f"pretrigger_samples is {pretrigger_samples} of {n_samples}; the quiet level is read before the "
             "trigger: record at least 100 us of pre-trigger"
         )
+    step_s = max(1, math.floor(settings.block_s * sample_rate_hz * (1.0 + 1e-9))) / sample_rate_hz
     if settings.isw_fwhm_s / step_s < FEWEST_BLOCKS:
         raise RecordError(
             f"an ISW of {settings.isw_fwhm_s * 1e6:.1f} us spans {settings.isw_fwhm_s / step_s:.1f} samples, "

@@ -18,7 +18,7 @@ from analysis.waves.distortion import find_clipped_shots, find_shots_with_lost_s
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, apply_flags
 from analysis.waves.outline import find_dissimilar_shots
 from analysis.waves.quality_gate import DISTURBED
-from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, median
+from analysis.waves.record_reduction import MAD_TO_SD, STANDS_OUT, FloatArray, median
 
 FEWEST_SHOTS = 3
 """Fewer valid shots have no middle."""
@@ -40,16 +40,14 @@ STRONGEST_REFLECTION = 1.4
 of a quarter on top of the reflected wave makes 1.5."""
 DEEPER_PULL = 0.035
 """Beyond the usual one, of the ISW's amplitude: noise, which is in both, lets it scatter by .01."""
-PULL_NOISE = 2.7
+PULL_NOISE = 3.5
 """Standard deviations of an outline's point by which the deepest of two hundred lies beyond the usual deepest
-one in fewer than one record of a thousand."""
+one in fewer than one record of a thousand, if noise is white; in pink noise in one of a hundred."""
 EARLIEST = 0.9
 """Of the earliest tenth's time of flight: no wall quickens the wave, and healthy shots scatter by 1 %."""
-EARLIEST_TENTH, SHALLOW_QUARTER, STRONG_QUARTER = 0.1, 0.25, 0.75
+EARLIEST_TENTH, SHALLOW_QUARTER = 0.1, 0.25
 LATEST_OWN = 0.5
 """Of the usual width: a wave that fires the trigger itself peaks always as late after it."""
-ARRIVAL_SD = 6.0
-"""Standard deviations, where arrivals scatter by more."""
 LATEST_MERGED = 1.6
 """Of `Template.earliest_tof_s`: before, no thinned patch splits the reflected wave (the twin's: from 1.9)."""
 
@@ -107,7 +105,7 @@ def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
         isw_fwhm_s=middle["isw_fwhm_s"],
         # Weak strikes are lower, nothing is higher: the middle of the sound ones, were half of all weak.
         isw_amplitude_v=float(
-            _column_quantiles(ordered, STRONG_QUARTER)[LEARNT_FROM.index("isw_amplitude_v")]
+            _column_quantiles(ordered, 1.0 - SHALLOW_QUARTER)[LEARNT_FROM.index("isw_amplitude_v")]
         ),
         amplitude_ratio=middle["amplitude_ratio"],
         # Not the middle: where every second shot is disturbed, the sound ones are the others.
@@ -179,7 +177,8 @@ def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None
         for index, shot in enumerate(found)
         if shot.valid and not shot.compared and shot.outline is not None
     }
-    outlines, tofs_s = [*seen.values()], np.array([found[index].tof_mf_s for index in seen])
+    outlines = [*seen.values()]
+    tofs_s = np.array([found[index].tof_mf_s / one.stretch for index, one in seen.items()])
     foreign = find_dissimilar_shots(outlines, tofs_s) | find_shots_with_lost_samples(outlines, tofs_s)
     for flag, flagged in ((DISTURBED, foreign), ("clipped", find_clipped_shots(outlines, tofs_s) & ~foreign)):
         for index in compress(seen, flagged):
@@ -232,5 +231,5 @@ def _has_different_arrival(shot: ShotFeatures, template: Template) -> bool:
     """
     if template.isw_time_s is None:
         return False
-    limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)
+    limit_s = max(LATEST_OWN * template.isw_fwhm_s, STANDS_OUT * template.isw_time_sd_s)
     return abs(shot.isw_time_s - template.isw_time_s) > limit_s

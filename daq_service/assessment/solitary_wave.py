@@ -35,6 +35,8 @@ from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from analysis.statistics.rules import HoleRule
 from analysis.waves.features import EXTRACTOR_VERSION, FEATURE_NAMES, SetFeatures, ShotFeatures
+from analysis.waves.record_reduction import ExtractionSettings
+from daq_service.acquisition.shot_features import derive_extraction_settings
 from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult
@@ -86,6 +88,7 @@ class SolitaryWaveAssessor:
         self._quality = settings.quality
         self._approval = settings.baseline.approval
         self._of_set = settings.features.of_set
+        self._extraction = derive_extraction_settings(settings.positions).get(position, ExtractionSettings())
         self._baseline_id = baseline.row_id
         self._rehearsal = rehearsal
         self.state = State()
@@ -229,6 +232,7 @@ class SolitaryWaveAssessor:
             baseline=self.state.baseline,
             minimum_valid_shots=self.rules.minimum_valid_shots,
             of_set=self._of_set,
+            settings=self._extraction,
         )
 
     def _build_shot_results(self, due: DueSet, combined: CombinedShots) -> PositionResult:

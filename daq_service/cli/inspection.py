@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -14,7 +16,9 @@ import click
 
 from analysis.assessment.baseline_quality import GOOD_SETS
 from analysis.statistics.rules import MINIMUM_SETS
+from analysis.waves.transducer import find_obstacles as find_chain_obstacles
 from daq_service.acquisition.schedule import list_due_hours, plan_sets
+from daq_service.acquisition.shot_features import derive_extraction_settings, describe_chain
 from daq_service.catalogue import check_owner
 from daq_service.catalogue.experiment_file import read_experiment_file
 from daq_service.cli.forecast import predict_confirmation_bytes, predict_record_sizes, predict_stored_bytes
@@ -127,6 +131,8 @@ def _print_plan(settings: Settings, facts: Mapping[str, Any]) -> None:
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
     _print_receivers(settings.notifications)
+    for warning in find_transducer_warnings(settings.positions, facts["record_s"]):
+        click.echo(f"WARNING: {warning}", err=True)
     for warning in find_calibration_warnings(settings.positions):
         click.echo(f"WARNING: {warning}; calibrate the sensor, then correct the date", err=True)
 
@@ -162,6 +168,33 @@ def _print_receivers(notifications: NotificationSettings) -> None:
             read_address(name, receiver)
         except UsageError as error:
             click.echo(f"WARNING: {error}", err=True)
+
+
+def find_transducer_warnings(positions: Mapping[str, PositionSettings], record_s: float | None) -> list[str]:
+    """Return a text for each obstacle to assessing a transducer's waves, by Zener's model of the sound plate.
+
+    ``record_s`` is the length of a record in s, None if unknown.
+    """
+    from simulator.zener.model import compute_reflection
+
+    settings = derive_extraction_settings(positions)
+    found = []
+    for name, position in positions.items():
+        if position.method == SOLITARY_WAVE:
+            # The model knows equal spheres on a dry plate only, and these decide.
+            plain = replace(position.chain, spheres=(), precompression_n=0.0)
+            zener = compute_reflection(plain, replace(position.plate, liquid=None))
+            found += [
+                f"position {name}: {obstacle}"
+                for obstacle in find_chain_obstacles(
+                    describe_chain(position.chain),
+                    settings[name],
+                    inelasticity=zener.inelasticity,
+                    amplitude_ratio=zener.amplitude_ratio,
+                    after_trigger_s=math.inf if record_s is None else record_s,
+                )
+            ]
+    return found
 
 
 def find_calibration_warnings(positions: Mapping[str, PositionSettings]) -> list[str]:

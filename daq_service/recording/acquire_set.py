@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, decide_outcomes
-from daq_service.acquisition.shot_features import compute_rehearsal_features
+from daq_service.acquisition.shot_features import FeaturesOf, choose_extraction
 from daq_service.archive import PositionRecord, SetRecord
 from daq_service.clock import WallClock, read_boot_id
 from daq_service.commands.execution import CommandExecutor
@@ -26,8 +26,6 @@ from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.take_set import ProgressOfSet, SetPlan, take_set
 
 log = logging.getLogger(__name__)
-
-FeaturesOf = Callable[[Shot], ShotFeatures]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -238,7 +236,7 @@ class SetAcquisition:
         resources: Resources,
         assessor: SetAssessor,
         persistence: Persistence,
-        features_of: FeaturesOf,
+        features_of: FeaturesOf | None,
         commands: CommandExecutor,
         activity: Activity,
     ) -> None:
@@ -251,7 +249,9 @@ class SetAcquisition:
         self._set_assessor, self._persistence = assessor, persistence
         self._commands, self._activity = commands, activity
         self._struck = self._settings.list_positions(SOLITARY_WAVE)
-        self.features_of = compute_rehearsal_features if self._rig.dry_run else features_of
+        self.features_of = choose_extraction(
+            self._settings.positions, rehearsal=self._rig.dry_run, given=features_of
+        )
         # Simulated time has one frame on every computer.
         self._in_real_time = resources.in_real_time
         self._boot_id = read_boot_id() if self._in_real_time else "simulated"

@@ -15,11 +15,11 @@ from functools import partial
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.shot_features import extract_shot_features
+from daq_service.acquisition.shot_features import FeaturesOf
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
 from daq_service.catalogue import SetCommit
-from daq_service.recording.acquire_set import Activity, FeaturesOf, SetAcquisition, TakenSet
+from daq_service.recording.acquire_set import Activity, SetAcquisition, TakenSet
 from daq_service.recording.carried_over import CarriedOver
 from daq_service.recording.clock_doubt import wait_for_verified_clock
 from daq_service.recording.computer_load import MACHINE_READ
@@ -74,7 +74,7 @@ class Cost:
 class Recorder:
     """Takes the sets of a test, one after the other."""
 
-    def __init__(self, resources: Resources, *, features_of: FeaturesOf = extract_shot_features) -> None:
+    def __init__(self, resources: Resources, *, features_of: FeaturesOf | None = None) -> None:
         """Build and connect the parts; read open sets and states of the test, or raise StorageError."""
         self._resources, self._stop, self._cost = resources, resources.stop, Cost()
         self._set_assessor = assessor = SetAssessor(

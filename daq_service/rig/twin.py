@@ -40,6 +40,7 @@ from hardware_drivers.measurement import ShotKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 if TYPE_CHECKING:
+    from analysis.waves.record_reduction import ExtractionSettings
     from simulator.specimen import Specimen, Transducer
 
 
@@ -152,7 +153,17 @@ def compute_records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]
     """
     from daq_service.acquisition.shot_features import extract_record_features
 
-    return extract_record_features(_build_specimen(settings_json).simulate_waves(strikes))
+    records = _build_specimen(settings_json).simulate_waves(strikes)
+    positions = [key.position for key, _ in strikes]
+    return extract_record_features(records, positions, _extraction_settings(settings_json))
+
+
+@cache
+def _extraction_settings(settings_json: str) -> Mapping[str, ExtractionSettings]:
+    """Derive how features are extracted at each position from the settings as JSON; cached for each text."""
+    from daq_service.acquisition.shot_features import derive_extraction_settings
+
+    return derive_extraction_settings(Settings.model_validate_json(settings_json).positions)
 
 
 @cache

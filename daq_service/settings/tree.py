@@ -158,6 +158,21 @@ class CalibrationSettings(Section):
         return self.due_on is not None and self.due_on < today
 
 
+class WaveSettings(Section):
+    """What is expected of a transducer's record; what is not given follows from its chain."""
+
+    isw_fwhm_s: float | None = Field(default=None, gt=0.0, le=1.0)
+    """Full width at half maximum of the incident wave; every time and window goes with it."""
+    psw_earliest_s: float | None = Field(default=None, gt=0.0, le=1.0)
+    """Earliest peak of a reflected wave after that of the incident wave."""
+    psw_latest_s: float | None = Field(default=None, gt=0.0, le=1.0)
+    """Latest peak of a reflected wave after that of the incident wave."""
+    no_psw_below_fraction: float | None = Field(default=None, gt=0.0, lt=1.0)
+    """Amplitude ratio below which there is no reflected wave."""
+    deepest_pull_fraction: float | None = Field(default=None, gt=0.0, lt=1.0)
+    """How far a sound record falls below its quiet level, of the incident wave's amplitude."""
+
+
 class PositionSettings(Section):
     """One monitored place: who looks at it and what is expected there."""
 
@@ -178,6 +193,8 @@ class PositionSettings(Section):
     """The plate under this transducer; keys not given are those of `[plate]`."""
     corrosion: CorrosionParameters = CorrosionParameters()
     """Footprint assumed here; keys not given are those of `[corrosion]`."""
+    waves: WaveSettings = WaveSettings()
+    """Width, windows and limits of this transducer's waves, where the chain does not tell them."""
 
 
 def _default_positions() -> dict[str, PositionSettings]:
@@ -554,6 +571,8 @@ class Settings(BaseSettings):
         for place in values["positions"].values():
             if place["minimum_wall_m"] is None:
                 del place["minimum_wall_m"]
+            if place["waves"] == WaveSettings().model_dump():
+                del place["waves"]
         del values["alarms"]["contacts"]  # a telephone number affects no data
         if self.alarms.false_alarms_per_year is None:
             del values["alarms"]["false_alarms_per_year"]

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.shot_features import extract_shot_features
+from daq_service.acquisition.shot_features import derive_extraction_settings, extract_shot_features
 from daq_service.cli.doctor.check import Check, build_error_check
 from daq_service.cli.doctor.spike import strike_and_check_coil
 from daq_service.clock import WallClock, parse_utc, read_boot_id
@@ -151,7 +151,7 @@ def _take_shot(
     if isinstance(measurement, MissedShot):
         return Trial(position=position, checks=(_build_missed_strike_check(measurement),))
     assert isinstance(measurement, Shot), "a solitary-wave position gives a shot or a miss"
-    features = extract_shot_features(measurement)
+    features = extract_shot_features(measurement, derive_extraction_settings(settings.positions))
     level_v = _read_trigger_level_v(settings.rig, settings.twin.adc.trigger_level_v, measurement)
     return Trial(
         position=position,

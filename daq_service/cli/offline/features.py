@@ -22,7 +22,7 @@ from analysis.waves.features import (
 )
 from analysis.waves.pulses import measure_first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
-from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
+from analysis.waves.record_reduction import FEWEST_BLOCKS, USUAL_FWHM_S, ExtractionSettings
 from analysis.waves.template import Template, compare_with_others, learn_template
 from daq_service.cli.offline.csv_lines import finite_or_none
 from daq_service.cli.offline.record_file import FileParameters, Record, RecordFile, open_records
@@ -198,18 +198,13 @@ def _build_extraction_settings(
             # That of a spike would refuse every record.
             narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
             found.append(width_s if width_s >= narrowest_s else math.nan)
-    usual = ExtractionSettings()
-    earliest_s, latest_s = transducer.psw_window_s or (usual.psw_earliest_s, usual.psw_latest_s)
+    given = dict(zip(("psw_earliest_s", "psw_latest_s"), transducer.psw_window_s or (), strict=False))
     settings = {}
     try:
         for position, found in widths_s.items():
             known = [width for width in found if width > 0.0]
-            measured_s = float(np.median(known)) if known else usual.isw_fwhm_s
-            settings[position] = ExtractionSettings(
-                isw_fwhm_s=measured_s if transducer.isw_fwhm_s is None else transducer.isw_fwhm_s,
-                psw_earliest_s=earliest_s,
-                psw_latest_s=latest_s,
-            )
+            measured_s = float(np.median(known)) if known else USUAL_FWHM_S
+            settings[position] = ExtractionSettings.for_width(transducer.isw_fwhm_s or measured_s, **given)
     except InvalidInputError as error:
         raise UsageError(f"{path}: {error}") from error
     return settings

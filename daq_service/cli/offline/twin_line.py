@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from daq_service.acquisition.schedule import plan_sets
-from daq_service.acquisition.shot_features import extract_features_of_shots
+from daq_service.acquisition.shot_features import derive_extraction_settings, extract_features_of_shots
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
@@ -64,7 +64,7 @@ def simulate_assessed_sets(
         The twin cannot compute a shot.
     """
     specimen = specimen or build_twin(settings)
-    epoch_ns = parse_utc(settings.clock.epoch)
+    epoch_ns, by_position = parse_utc(settings.clock.epoch), derive_extraction_settings(settings.positions)
     assessor = SolitaryWaveAssessor(position, settings, baseline=get_baseline_range(position, settings, None))
     for due in plan_sets(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h):
         hour_h = specimen.hour_h(due.due_utc_ns - epoch_ns)
@@ -85,7 +85,9 @@ def simulate_assessed_sets(
             for key, record in zip(keys, records, strict=True)
             if record is not None
         )
-        position_result = assessor.assess(due, shots, extract_features_of_shots(shots), n_tried=len(keys))
+        position_result = assessor.assess(
+            due, shots, extract_features_of_shots(shots, by_position), n_tried=len(keys)
+        )
         found = AssessedSet(due=due, hour_h=hour_h, shots=shots, position_result=position_result)
         yield found
         if found.raised & {"no_reflection", "transducer_disabled"}:

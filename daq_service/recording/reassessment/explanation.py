@@ -12,6 +12,7 @@ from typing import Any
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR_VERSION
 from analysis.waves.features import EXTRACTOR_VERSION
 from analysis.waves.quality_gate import ACCEPTED
+from daq_service.acquisition.shot_features import choose_extraction
 from daq_service.archive import CorruptArchiveError, FolderSetReader, SetRecord, SetReference
 from daq_service.assessment.methods import METHODS, MeasuringMethod
 from daq_service.catalogue import Catalogue, open_catalogue
@@ -41,7 +42,7 @@ from daq_service.recording.reassessment.changes import (
     list_onsets,
 )
 from daq_service.recording.reassessment.pulses_of_sets import Pulses, read_mean_pulses
-from daq_service.recording.reassessment.reassess import extract_set_features, make_temp_catalogue, reassess
+from daq_service.recording.reassessment.reassess import make_temp_catalogue, reassess
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
@@ -183,6 +184,7 @@ def _recompute_alarm(
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
     _raise_if_other_extractor(stored, settings.positions[position].method, position, up_to_set)
     archive = FolderSetReader(folder)
+    features_of = choose_extraction(settings.positions, rehearsal=settings.rig.dry_run)
     read_set = partial(_read_position_records, position, archive)
     with ExitStack() as stack:
         again = stack.enter_context(make_temp_catalogue(stored.read_experiment()))
@@ -191,7 +193,7 @@ def _recompute_alarm(
             again,
             folder,
             settings,
-            lambda record: extract_set_features(settings.rig.dry_run, record.shots),
+            lambda record: {shot.sequence: features_of(shot) for shot in record.shots},
             up_to_set=up_to_set,
             read_set=read_set,
             progress=progress,

@@ -7,10 +7,10 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 
 from analysis.waves.features import ShotFeatures
+from daq_service.acquisition.shot_features import FeaturesOf
 from daq_service.archive import SetRecord, SetReference
 from daq_service.errors import SolimonError
 from daq_service.processes.executors import list_worker_lost_errors
-from daq_service.recording.reassessment.reassess import extract_set_features
 from hardware_drivers.measurement import SetKey, Shot, ShotKey, Stamp, Waveform
 
 SETS_AHEAD = 2
@@ -23,15 +23,15 @@ class ExtractedAhead:
 
     Attributes
     ----------
-    rehearsal
-         The records are noise of a dry run.
+    features_of
+        Gives the features of a shot.
     references
         All sets in approximately the order of the requests.
     """
 
     executor: Executor
     workers: int
-    rehearsal: bool
+    features_of: FeaturesOf
     read: Callable[[SetReference], SetRecord]
     references: Iterator[SetReference]
     _under_way: dict[SetReference, tuple[SetRecord, Future[dict[int, ShotFeatures]]]] = field(
@@ -59,7 +59,7 @@ class ExtractedAhead:
         record = self.read(reference)
         # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
-        future = self.executor.submit(_extract_in_worker, self.rehearsal, records)
+        future = self.executor.submit(_extract_in_worker, self.features_of, records)
         self._under_way[reference] = record, future
 
     def features(self, record: SetRecord) -> Mapping[int, ShotFeatures]:
@@ -77,14 +77,14 @@ class ExtractedAhead:
 
 
 def _extract_in_worker(
-    rehearsal: bool, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
+    features_of: FeaturesOf, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
 ) -> dict[int, ShotFeatures]:
     """Extract the features of shots in a worker process; return them by sequence.
 
-    ``records`` has sequence, key, time stamp and waveform of each; ``rehearsal``: they are noise.
+    ``records`` has sequence, key, time stamp and waveform of each.
     """
     shots = [
         Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform)
         for sequence, key, stamp, waveform in records
     ]
-    return extract_set_features(rehearsal, shots)
+    return {shot.sequence: features_of(shot) for shot in shots}

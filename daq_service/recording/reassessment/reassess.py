@@ -9,14 +9,14 @@ from __future__ import annotations
 import logging
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.shot_features import compute_rehearsal_features, extract_shot_features
+from daq_service.acquisition.shot_features import FeaturesOf
 from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge_alarm, reset_alarm
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
@@ -36,7 +36,7 @@ from daq_service.recording.reassessment.changes import LIFE
 from daq_service.recording.reassessment.stored_runs import Progress, full_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import SetKey, Shot
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
@@ -58,8 +58,10 @@ def make_temp_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue
         yield catalogue
 
 
-def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
-    """Read the stored features of a set's shots by sequence; extract them for a shot without a row."""
+def read_stored_features(
+    catalogue: Catalogue, features_of: FeaturesOf, record: SetRecord
+) -> dict[int, ShotFeatures]:
+    """Read the stored features of a set's shots by sequence; ``features_of`` gives those that lack."""
     places = {shot.key.position for shot in record.shots}
     flags = {
         row.sequence: tuple(row.flags)
@@ -71,16 +73,7 @@ def read_stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, S
         for row in catalogue.rows(FeatureRow, **record.set_key._asdict(), scope="shot")
         if row.sequence is not None
     }
-    return {shot.sequence: found.get(shot.sequence) or extract_shot_features(shot) for shot in record.shots}
-
-
-def extract_set_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
-    """Extract the features of shots from their waveforms, by sequence, as the recorder does.
-
-    ``rehearsal`` True: the records are noise of a dry run, which gets features of its own.
-    """
-    extract = compute_rehearsal_features if rehearsal else extract_shot_features
-    return {shot.sequence: extract(shot) for shot in shots}
+    return {shot.sequence: found.get(shot.sequence) or features_of(shot) for shot in record.shots}
 
 
 def _to_shot_features(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from daq_service.acquisition.shot_features import extract_shot_features
+from daq_service.acquisition.shot_features import FeaturesOf
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.results_in_file import read_set_results
@@ -32,7 +32,7 @@ from daq_service.catalogue.salvage import Salvaged, read_sound_rows
 from daq_service.catalogue.store import create_temporary
 from daq_service.processes.lost_catalogue import read_folder_history
 from daq_service.recording.experiment import find_stored_experiment, raise_if_foreign
-from daq_service.recording.reassessment.restore_rows import FeaturesOf, Restored, StoredHistory, restore_rows
+from daq_service.recording.reassessment.restore_rows import Restored, StoredHistory, restore_rows
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import restore_settings
 from daq_service.settings.tree import Settings
@@ -69,7 +69,7 @@ def rebuild_folder_catalogue(
     *,
     progress: Progress = lambda done, total: None,
     settings: Settings | None = None,
-    features_of: FeaturesOf = extract_shot_features,
+    features_of: FeaturesOf | None = None,
 ) -> Rebuilt:
     """Rebuild the catalogue of a data folder, and files that follow from it; the caller owns the folder.
 
@@ -83,7 +83,7 @@ def rebuild_folder_catalogue(
     settings
         Refuse a folder of another test; None: accept any test.
     features_of
-        Extracts the features of a shot.
+        Extracts the features of a shot; None: as the recorder.
 
     Raises
     ------

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import EXTRACTOR_VERSION
+from daq_service.acquisition.shot_features import choose_extraction
 from daq_service.archive import FolderSetReader
 from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
@@ -110,10 +111,11 @@ def replay_test(
         settings = apply_setting_changes(experiment.configuration, settings_given)
         again = stack.enter_context(make_temp_catalogue(experiment))
         assess_set = partial(reassess, stored, again, folder, settings, progress=progress)
+        features_of = choose_extraction(settings.positions, rehearsal=settings.rig.dry_run)
         if extract_by is None:
             versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
             extractor = _find_common_extractor(versions)
-            sets = assess_set(partial(read_stored_features, stored))
+            sets = assess_set(partial(read_stored_features, stored, features_of))
         else:
             extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
             executor = stack.enter_context(open_executor(name, workers))
@@ -122,7 +124,7 @@ def replay_test(
             ahead = ExtractedAhead(
                 executor=executor,
                 workers=count_workers(executor, workers),
-                rehearsal=settings.rig.dry_run,
+                features_of=features_of,
                 read=archive.read_set,
                 references=iter(files.values()),
             )

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
 import orjson
 
-from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
-from daq_service.acquisition.shot_features import compute_rehearsal_features, extract_shot_features
+from daq_service.acquisition.shot_features import FeaturesOf, choose_extraction
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.alarms.states import index_alarm
 from daq_service.archive import (
@@ -56,10 +55,9 @@ from daq_service.recording.reassessment.changes import drop_diagnosis_state
 from daq_service.recording.reassessment.stored_runs import Progress, Run, full_row, group_sets, repeat_action
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import DueSet, Shot
+from hardware_drivers.measurement import DueSet
 
 R = TypeVar("R", bound=Row)
-FeaturesOf = Callable[[Shot], ShotFeatures]
 
 _STORED_ROWS: Mapping[str, type[Row]] = {**ROW_OF_EVENT, "baseline_frozen": BaselineRow}
 """Kinds of events that report a complete row."""
@@ -115,7 +113,7 @@ def restore_rows(
     catalogue: RecorderCatalogue,
     history: StoredHistory,
     progress: Progress,
-    features_of: FeaturesOf = extract_shot_features,
+    features_of: FeaturesOf | None = None,
 ) -> Restored:
     """Fill a catalogue that has its experiment and nothing else; return counts and findings.
 
@@ -140,13 +138,13 @@ class _Restoration:
         archive: FolderSetReader,
         catalogue: RecorderCatalogue,
         history: StoredHistory,
-        features_of: FeaturesOf,
+        features_of: FeaturesOf | None,
     ) -> None:
         """Create the assessor that follows the restored sets; store nothing yet."""
         self._settings, self._experiment = settings, experiment
         self._archive, self._catalogue, self._history = archive, catalogue, history
         rehearsal = settings.rig.dry_run
-        self._features_of = compute_rehearsal_features if rehearsal else features_of
+        self._features_of = choose_extraction(settings.positions, rehearsal=rehearsal, given=features_of)
         self._set_assessor = SetAssessor(settings, archive, catalogue, None, rehearsal=rehearsal)
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []

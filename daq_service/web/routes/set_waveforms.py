@@ -9,6 +9,7 @@ from analysis.ultrasound.thickness import THICKEST_FRACTION, THINNEST_FRACTION
 from analysis.waves.pulses import search_windows_s
 from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.record_reduction import ExtractionSettings
+from daq_service.acquisition.shot_features import derive_extraction_settings
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
@@ -94,7 +95,9 @@ def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[flo
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:
             return {}
-        return search_windows_s(result.isw_time_s, result.psw_time_s, ExtractionSettings())
+        positions = context.settings.positions
+        settings = derive_extraction_settings(positions).get(set_row.position, ExtractionSettings())
+        return search_windows_s(result.isw_time_s, result.psw_time_s, settings)
     # The reference echo of the test, as in the assessment.
     first = catalogue.read_first_thickness(set_row.position)
     delay_s = context.settings.ultrasound.delay_s

@@ -6,12 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot
+from support.synthetic_records import Scene
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
+from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.acquisition import shot_features
-from daq_service.acquisition.shot_features import extract_record_features, extract_shot_features
+from daq_service.acquisition.shot_features import (
+    derive_extraction_settings,
+    extract_features_of_shots,
+    extract_record_features,
+    extract_shot_features,
+)
 from daq_service.recording.acquire_set import TakenSet
+from daq_service.settings.tree import PositionSettings, WaveSettings
 from hardware_drivers.errors import BusyError, ConnectionLostError
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import MissedShot, ShotKey, Waveform
@@ -141,7 +149,7 @@ def test_records_of_a_worker_bring_the_features_that_the_recorder_would_extract(
     shots = [make_shot("B", index, index) for index in range(3)]
     own = [extract_shot_features(shot) for shot in shots]
     acquired = [None, *(Acquired(waveform=shot.waveform) for shot in shots)]
-    missing, *found = pickle.loads(pickle.dumps(extract_record_features(acquired)))
+    missing, *found = pickle.loads(pickle.dumps(extract_record_features(acquired, ["B"] * len(acquired))))
     monkeypatch.setattr("daq_service.acquisition.shot_features.extract_features", None)
     assert missing is None
     assert [
@@ -149,6 +157,25 @@ def test_records_of_a_worker_bring_the_features_that_the_recorder_would_extract(
     ] == own
     for shot, one in zip(shots, found, strict=True):
         np.testing.assert_array_equal(one.waveform.counts, shot.waveform.counts)
+
+
+def test_each_position_is_extracted_as_its_chain_and_its_keys_say():
+    """The record is that of a wave of 65 us: only C expects another one."""
+    positions = {
+        "B": PositionSettings(method="solitary_wave"),
+        "C": PositionSettings(method="solitary_wave", waves=WaveSettings(isw_fwhm_s=30e-6)),
+    }
+    by_position = derive_extraction_settings(positions)
+    assert by_position["B"] == ExtractionSettings()
+    shots = [
+        replace(make_shot(position, 0, index), waveform=Scene(noise_fraction=0.01).waveform(index))
+        for index, position in enumerate("BCB")
+    ]
+    alone = [extract_shot_features(shot, by_position) for shot in shots]
+    together = extract_features_of_shots(shots, by_position)
+    ahead = extract_record_features([Acquired(waveform=s.waveform) for s in shots], "BCB", by_position)
+    assert together == alone == [one.waveform.features for one in ahead]
+    assert [shot.valid for shot in alone] == [True, False, True]
 
 
 def test_records_that_cannot_be_analysed_together_come_without_features():
@@ -159,4 +186,4 @@ def test_records_that_cannot_be_analysed_together_come_without_features():
         calibration=make_shot("B", 0, 1).waveform.calibration,
     )
     acquired = [Acquired(waveform=short), Acquired(waveform=make_shot("B", 0, 1).waveform)]
-    assert extract_record_features(acquired) == acquired
+    assert extract_record_features(acquired, ["B"] * len(acquired)) == acquired

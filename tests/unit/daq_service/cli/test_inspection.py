@@ -51,6 +51,23 @@ def test_a_baseline_without_possible_limits_causes_a_warning(tmp_path, capsys, t
     assert printed.err == (complete if warning else "")
 
 
+@pytest.mark.parametrize(
+    ("text", "warnings"),
+    [
+        ("[chain]\nradius_m = 0.02\nmass_kg = 0.261\nspheres_below = 4", [" 1.14, above 0.7"]),
+        ("[chain]\nspheres_below = 1", ["1.6 of its widths, below 2.5: they overlap"]),
+        ("[chain]\nspheres_below = 24", ["the record lasts 1360 us", "below 1407 us: record longer"]),
+        ("[plate]\nthickness_m = 2e-3", ["inelasticity is 2.60", "ratio is 0.00, below 0.2"]),
+        ("[positions.B]\nmethod = 'solitary_wave'\nwaves = {isw_fwhm_s = 3e-4}", ["below 2362 us"]),
+    ],
+)
+def test_a_transducer_whose_waves_cannot_be_assessed_causes_a_warning(tmp_path, capsys, text, warnings):
+    check(tmp_path, text)
+    printed = capsys.readouterr().err
+    assert "WARNING: position B: " in printed
+    assert [words for words in warnings if words not in printed] == []
+
+
 BASELINE = "Shorten the baseline, or end the test later."
 LATER = "no set is due up to hour {}; the first interval is {} h. Shorten interval_h, or end the test later."
 

@@ -57,6 +57,15 @@ def test_the_shipped_twin_keeps_its_hash():
     assert load_settings(None, overrides=BY_SETS).configuration_hash().startswith("4c5c6748c413e20d")
 
 
+def test_given_windows_are_part_of_the_hash():
+    place = {"method": "solitary_wave"}
+    plain, given = (
+        Settings(positions={"B": {**place, "waves": waves}}) for waves in ({}, {"psw_latest_s": 1e-3})
+    )
+    assert plain.configuration_hash() == Settings(positions={"B": place}).configuration_hash()
+    assert given.configuration_hash() != plain.configuration_hash()
+
+
 def test_alarm_settings_are_part_of_the_hash():
     assert Settings().configuration_hash() != Settings(**BY_SETS).configuration_hash()
 
