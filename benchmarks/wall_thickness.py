@@ -152,10 +152,14 @@ def looks_of(file: str, level: str, left_out: str, method: str, seed: int) -> It
         alone = np.zeros((len(FEATURES), len(FEATURES)))
         alone[0, 0] = 1.0 / sets[:BASELINE, 0].std(ddof=1) / math.sqrt(1.75)
         calibration = replace(calibration, whitening=alone)
+    hypotheses = posterior.compare(calibration, changes)
     state = posterior.begin(len(changes), float(HOURS[BASELINE - 1]))
     for k in range(AFTER):
         hour = float(HOURS[BASELINE + k])
-        state, _ = posterior.add_set(state, calibration, changes, sets[BASELINE + k], hour)
+        if hypotheses.compute_misfit(sets[BASELINE + k]) > 1.0:
+            state = posterior.wait(state, hour)
+        else:
+            state = posterior.add_set(state, hypotheses, sets[BASELINE + k], hour)
         if k not in LOOKS:
             continue
         found = posterior.estimate_loss(state, *(() if method == METHODS[0] else (1e-9,)))

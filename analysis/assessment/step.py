@@ -32,6 +32,7 @@ from analysis.statistics.rules import (
     update_alarm_state,
     update_hole_state,
 )
+from analysis.wall.thickness import WallTrack
 from analysis.waves.features import FEATURE_NAMES
 
 
@@ -164,6 +165,8 @@ class State:
         Number of consecutive sets with too few valid shots.
     assessed
         The last assessed sets, as many as the alarm rule uses: a confirmation set is compared with them.
+    wall
+        What is known of the wall thickness; None before the baseline is complete, or without a bank.
     """
 
     healthy: tuple[SetOfShots, ...] = ()
@@ -176,6 +179,7 @@ class State:
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
     assessed: tuple[AssessedSet, ...] = ()
+    wall: WallTrack | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

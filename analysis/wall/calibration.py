@@ -53,10 +53,11 @@ class Calibration:
     dof: float
 
 
-def calibrate(bank: Bank, history: ArrayLike) -> Calibration:
+def calibrate(bank: Bank, history: ArrayLike, expected: FloatArray | None = None) -> Calibration:
     """Calibrate a bank to the ln features of a baseline's sets, shape (n, 5); sets with NaN are left out.
 
     The covariance has an inverse-Wishart prior: what the sources of `SOURCE_SD` do by the twin's slopes.
+    ``expected``: ln features of the twin at that baseline, if not those of its sound wall.
 
     Raises
     ------
@@ -73,10 +74,12 @@ def calibrate(bank: Bank, history: ArrayLike) -> Calibration:
     if n < FEWEST_SETS:
         raise InvalidInputError(f"a baseline of {n} complete sets; a wall thickness needs {FEWEST_SETS}")
     mean = x.mean(axis=0)
-    for name, difference, limit in zip(FEATURES, mean - bank.sound, LARGEST_DIFFERENCE, strict=False):
+    for name, difference, limit in zip(
+        FEATURES, mean - (bank.sound if expected is None else expected), LARGEST_DIFFERENCE, strict=False
+    ):
         if abs(difference) > limit:
             raise InvalidInputError(
-                f"{name} of the baseline is {np.exp(difference):.3g} times that of the twin's sound wall; "
+                f"{name} of the baseline is {np.exp(difference):.3g} times that of the twin; "
                 f"at most a factor {np.exp(limit):.3g} is explained. Check unit, position, and the keys of "
                 "chain and plate"
             )

@@ -2,9 +2,9 @@
 
 A hypothesis is a curve of the bank, with factors that stay the same for a sensor: how far curves of the twin
 may be off (the discrepancy). For each the filter is exact: the loss never decreases, the rate stays or is
-drawn again. Sets are correlated, so their likelihood counts by the exponent `TEMPER`. What curves that fit
-equally well disagree about widens the result (`AMBIGUITY`), not the likelihood. All constants were chosen on
-even seeds of `benchmarks/wall_thickness.py` and are shown on odd ones (decision 0069).
+drawn again. Sets are correlated in time, so their likelihood counts by the exponent `TEMPER`. What curves
+that fit equally well disagree about widens the result (`AMBIGUITY`), not the likelihood. All constants were
+chosen on even seeds of `benchmarks/wall_thickness.py` and are shown on odd ones (decision 0069).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +33,10 @@ the smallest."""
 STILL = 0.05
 """Prior probability of the rate 0; the others are equally likely."""
 NEIGHBOR, REDRAWN = 0.3, 0.02
-"""Probabilities that the rate moves to a neighbor on its grid, or is drawn again, between two sets."""
-TEMPER = 0.35
-"""Exponent of a set's likelihood."""
+"""Probabilities that the rate moves to a neighbor on its grid, or is drawn again, within `TEMPER_H`."""
+TEMPER, TEMPER_H = 0.35, 17.0
+"""Exponent of a set's likelihood, so many hours after the set before; that of nearer sets, which repeat each
+other, is proportionally smaller."""
 FACTORS = 4
 FACTOR_SD, RATIO_SD = 0.15, 0.05
 """Discrepancy: SD of the ln factor of a feature's change, and of ln AR itself at half of the wall."""
@@ -44,10 +46,10 @@ OF_WALL = 3
 """Features that the wall changes, the first ones: the incident wave is before it."""
 AR = FEATURES.index("amplitude_ratio")
 QUANTILES = (0.05, 0.5, 0.95)
-LEAST = 1e-5
-"""Probability of a cell, of the largest one's, below which it is left out: less than 0.5 % together."""
-GRAINS = 255
-"""Steps of the logarithm in which a stored state keeps probabilities: 2 % each."""
+LEAST = 1e-4
+"""Probability of a cell, of the largest one's, below which it is left out."""
+GRAINS = 127
+"""Steps of the logarithm in which a stored state keeps probabilities: 7 % each."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
 
@@ -58,6 +60,39 @@ class WallState:
 
     joint: NDArray[np.float32]
     hour: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hypotheses:
+    """Walls that the sets of a sensor are compared with.
+
+    Attributes
+    ----------
+    white
+        Changes of the ln features since the baseline by hypothesis and loss, in whitened units, shape
+        (h, 161, 5); 0 past a curve.
+    norm
+        Square of each, shape (h, 161); infinite past a curve.
+    """
+
+    calibration: Calibration
+    white: FloatArray
+    norm: FloatArray
+
+    def compute_distances(self, logs: FloatArray) -> FloatArray:
+        """Return the squared distances of a set from each hypothesis and loss, shape (h, 161)."""
+        set_white = (logs - self.calibration.mean) @ self.calibration.whitening
+        distances = self.norm - 2.0 * (self.white @ set_white) + set_white @ set_white
+        return np.asarray(np.maximum(distances, 0.0))
+
+    def compute_misfit(self, logs: FloatArray) -> float:
+        """Return the smallest distance from any hypothesis and loss, over the limit of an unchanged sensor.
+
+        That sensor exceeds it at the rate `MISFIT_RATE`; above 1 no wall explains the set.
+        """
+        p = len(FEATURES)
+        limit = p * float(f.isf(MISFIT_RATE, p, self.calibration.dof))
+        return float(self.compute_distances(logs).min()) / limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +126,15 @@ def predict_changes(
     return np.asarray(changes.reshape(-1, len(LOSSES), len(FEATURES)))
 
 
+def compare(calibration: Calibration, changes: FloatArray) -> Hypotheses:
+    """Return the hypotheses with these changes (`predict_changes`) for a calibrated sensor."""
+    white = changes @ calibration.whitening
+    norm = np.einsum("hlf,hlf->hl", white, white)
+    return Hypotheses(
+        calibration=calibration, white=np.nan_to_num(white), norm=np.nan_to_num(norm, nan=np.inf)
+    )
+
+
 def begin(n_hypotheses: int, hour: float) -> WallState:
     """Return the state at the end of a baseline: no loss, all hypotheses equally likely."""
     joint = np.zeros((n_hypotheses, len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
@@ -99,57 +143,53 @@ def begin(n_hypotheses: int, hour: float) -> WallState:
 
 
 def add_set(
-    state: WallState,
-    calibration: Calibration,
-    changes: FloatArray,
-    logs: FloatArray,
-    hour: float,
-    temper: float = TEMPER,
-) -> tuple[WallState, float]:
+    state: WallState, hypotheses: Hypotheses, logs: FloatArray, hour: float, exponent: float | None = None
+) -> WallState:
     """Update a state by the ln features of a set, shape (5,), at an hour of the test.
 
     Parameters
     ----------
-    changes
-        From `predict_changes`.
-
-    Returns
-    -------
-    state, misfit
-        ``misfit`` is the smallest distance squared from any hypothesis and loss, divided by the limit that an
-        unchanged sensor exceeds at the rate `MISFIT_RATE`. Above 1 nothing explains the set: the state only
-        moves on in time.
+    exponent
+        Of the likelihood; None: by `TEMPER` and the time since the set before.
 
     Raises
     ------
     InvalidInputError
         The set is earlier than the state, or a feature is missing.
     """
-    if hour < state.hour or not np.isfinite(logs).all():
-        raise InvalidInputError(
-            f"a set at hour {hour:g} with ln features {logs.tolist()} cannot follow hour {state.hour:g}; the "
-            "order is that of time, and each feature is needed"
-        )
-    moved = _move_on(state, hour - state.hour)
-    white = (logs - calibration.mean - changes) @ calibration.whitening
-    distance = np.nan_to_num(np.einsum("hlf,hlf->hl", white, white), nan=np.inf)
-    p = len(FEATURES)
-    misfit = float(distance.min()) / (p * float(f.isf(MISFIT_RATE, p, calibration.dof)))
-    if misfit <= 1.0:
-        evidence = -0.5 * temper * (calibration.dof + p) * np.log1p(distance / calibration.dof)
+    if not np.isfinite(logs).all():
+        raise InvalidInputError(f"ln features {logs.tolist()} of the set at hour {hour:g}: each is needed")
+    window, moved = _move_on(state, hour)
+    if exponent is None:
+        exponent = TEMPER * min((hour - state.hour) / TEMPER_H, 1.0)
+    if exponent > 0.0:
+        distances, dof = hypotheses.compute_distances(logs)[:, window], hypotheses.calibration.dof
+        evidence = -0.5 * exponent * (dof + len(FEATURES)) * np.log1p(distances / dof)
         moved *= np.exp(evidence - evidence.max())[:, :, None].astype(np.float32)
-    return WallState(joint=_round(moved / moved.sum()), hour=hour), misfit
+    return _keep(state, window, moved, hour)
+
+
+def wait(state: WallState, hour: float) -> WallState:
+    """Return the state at a later hour without a set; raise InvalidInputError for an earlier one."""
+    return _keep(state, *_move_on(state, hour), hour)
 
 
 def estimate_loss(state: WallState, ambiguity: float = AMBIGUITY) -> Quantiles:
     """Return the loss of wall as a fraction of the wall at the baseline."""
-    of_loss = state.joint.sum(axis=(0, 2), dtype=np.float64)
-    spread = 1.0 + ambiguity / AMBIGUITY * (_SPREAD - 1.0)
-    # A loss of the grid stands for the interval around it; 0 is the sound wall.
+    values, index = _spread_losses(ambiguity)
+    return _take_quantiles(values, _sum_by_loss(state.joint)[index])
+
+
+@lru_cache(maxsize=4)
+def _spread_losses(ambiguity: float) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return the values that stand for the losses of the grid, in order, and the loss of each.
+
+    A loss stands for the interval around it, with its ambiguity; 0 is the sound wall.
+    """
     cells = np.maximum(LOSSES[:, None] + LOSSES[1] * _IN_CELL * (LOSSES[:, None] > 0.0), 0.0)
-    values = cells[:, :, None] * spread
-    weights = np.broadcast_to(of_loss[:, None, None], values.shape) / (len(_IN_CELL) * len(spread))
-    return _find_quantiles(values, weights)
+    values = cells[:, :, None] * (1.0 + ambiguity / AMBIGUITY * (_SPREAD - 1.0))
+    order = np.argsort(values, axis=None, kind="stable")
+    return values.ravel()[order], order // (len(_IN_CELL) * len(_SPREAD))
 
 
 def estimate_rate(state: WallState) -> Quantiles:
@@ -162,78 +202,118 @@ def forecast(state: WallState, loss: float) -> Quantiles:
 
     The rate stays as it is.
     """
-    joint = state.joint.sum(axis=0, dtype=np.float64)
+    hours, index = _spread_hours(loss)
+    return _take_quantiles(hours, state.joint.sum(axis=0, dtype=np.float64).ravel()[index])
+
+
+@lru_cache(maxsize=8)
+def _spread_hours(loss: float) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return the hours from each cell of the grid to a loss, in order, and the cell of each."""
     # Rates are points of a logarithmic grid: each stands for the interval around it.
     step = (RATES_PER_H[2] / RATES_PER_H[1]) ** _IN_CELL
-    left = np.clip(loss - LOSSES[:, None] * _SPREAD, 0.0, None)
+    left = np.clip(loss - LOSSES[:, None] * _SPREAD, 0.0, None)[:, None, :, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        hours = left[:, :, None, None] / (RATES_PER_H[:, None] * step)
-    hours[left == 0.0] = 0.0
-    weights = joint[:, None, :, None] * _SPREAD_WEIGHTS[:, None, None] / len(step)
-    return _find_quantiles(hours, np.broadcast_to(weights, hours.shape))
+        hours = np.where(left == 0.0, 0.0, left / (RATES_PER_H[:, None] * step)[:, None, :])
+    order = np.argsort(hours, axis=None, kind="stable")
+    return hours.ravel()[order], order // (len(_SPREAD) * len(step))
 
 
 def compute_exceedance(state: WallState, loss: float) -> float:
     """Return the probability that the loss is larger than a limit."""
-    of_loss = state.joint.sum(axis=(0, 2), dtype=np.float64)
-    return float((np.outer(of_loss, _SPREAD_WEIGHTS) * (LOSSES[:, None] * _SPREAD > loss)).sum())
+    of_loss = _sum_by_loss(state.joint)
+    return float(of_loss @ (LOSSES[:, None] * _SPREAD > loss).mean(axis=1))
 
 
 def pack_state(state: WallState) -> bytes:
-    """Return a state in some ten to 200 kB; `unpack_state` returns exactly the same state."""
-    grains = _find_grains(state.joint)
-    return zlib.compress(np.float64(state.hour).tobytes() + grains.tobytes(), 6)
+    """Return a state in some ten to 120 kB; `unpack_state` returns the same bytes' state exactly."""
+    by_loss = np.ascontiguousarray(_find_grains(state.joint).transpose(2, 0, 1))
+    steps = np.diff(by_loss, axis=2, prepend=np.uint8(0))  # neighbors are alike: that packs better
+    return zlib.compress(np.float64(state.hour).tobytes() + steps.tobytes())
 
 
 def unpack_state(packed: bytes) -> WallState:
     """Return the state that `pack_state` packed; raise InvalidInputError for other bytes."""
     try:
         content = zlib.decompress(packed)
-        grains = np.frombuffer(content, dtype=np.uint8, offset=8)
-        grains = grains.reshape(-1, len(LOSSES), len(RATES_PER_H))
+        steps = np.frombuffer(content, dtype=np.uint8, offset=8)
+        steps = steps.reshape(len(RATES_PER_H), -1, len(LOSSES))
     except (zlib.error, ValueError) as error:
         raise InvalidInputError(f"{len(packed)} bytes are no state of a wall ({error})") from error
+    grains = np.cumsum(steps, axis=2, dtype=np.uint8).transpose(1, 2, 0)
     return WallState(joint=_to_probabilities(grains), hour=float(np.frombuffer(content[:8])[0]))
 
 
-def _move_on(state: WallState, hours: float) -> NDArray[np.float32]:
-    """Return the joint probability after some hours: each rate moves its losses; then the rate may change."""
-    moved, n = np.zeros_like(state.joint), len(LOSSES)
+def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]:
+    """Return the joint probability at a later hour: each rate moves its losses; then the rate may change.
+
+    Only the losses that are possible then are returned, with their place on the grid.
+    """
+    if hour < state.hour:
+        raise InvalidInputError(f"a set at hour {hour:g} cannot follow hour {state.hour:g}: sort by time")
+    n, hours = len(LOSSES), hour - state.hour
+    per_cell_h = hours / float(LOSSES[1])
+    possible = np.flatnonzero(_sum_by_loss(state.joint))
+    farthest = int(possible[-1]) + 2 + int(min(RATES_PER_H[-1] * per_cell_h, n))
+    window = slice(int(possible[0]), min(farthest, n))
+    joint = state.joint[:, window]
+    moved, size = np.zeros_like(joint), joint.shape[1]
     for index, rate in enumerate(RATES_PER_H.tolist()):
-        cells = min(rate * hours / float(LOSSES[1]), n - 1.0)
+        cells = min(rate * per_cell_h, n - 1.0)
         whole, part = int(cells), np.float32(cells % 1.0)
-        before, after = state.joint[:, :, index], moved[:, :, index]
-        after[:, whole:] += (1 - part) * before[:, : n - whole]
-        after[:, whole + 1 :] += part * before[:, : max(n - whole - 1, 0)]
-        after[:, -1] += before.sum(axis=1) - after.sum(axis=1)  # past the grid's end
-    return np.asarray(moved @ _RATE_CHANGE.astype(np.float32))
+        before, after = joint[:, :, index], moved[:, :, index]
+        after[:, whole:] += (1 - part) * before[:, : max(size - whole, 0)]
+        after[:, whole + 1 :] += part * before[:, : max(size - whole - 1, 0)]
+        if window.stop == n:
+            after[:, -1] += before.sum(axis=1) - after.sum(axis=1)  # past the grid's end
+    return window, np.asarray(moved @ _compute_rate_change(hours).astype(np.float32))
 
 
-def _round(joint: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return probabilities as a stored state has them: a restart goes on with the same digits."""
-    return _to_probabilities(_find_grains(joint))
+def _compute_rate_change(hours: float) -> FloatArray:
+    """Return the probability of the next rate by the present one, some hours later."""
+    part = min(hours / TEMPER_H, 1.0)
+    return np.asarray((1.0 - part) * np.eye(len(RATES_PER_H)) + part * _RATE_CHANGE)
+
+
+def _keep(state: WallState, window: slice, moved: NDArray[np.float32], hour: float) -> WallState:
+    """Return the state with these probabilities; those below `LEAST` of the largest are left out."""
+    joint = np.zeros_like(state.joint)
+    moved[moved < LEAST * moved.max()] = 0.0
+    joint[:, window] = moved / moved.sum()
+    return WallState(joint=joint, hour=hour)
+
+
+def _sum_by_loss(joint: NDArray[np.float32]) -> FloatArray:
+    """Return the probability of each loss."""
+    return np.asarray((joint @ np.ones(len(RATES_PER_H), dtype=np.float32)).sum(axis=0, dtype=np.float64))
 
 
 def _find_grains(joint: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return the logarithms of probabilities in `GRAINS` steps below the largest; 0: less than `LEAST`."""
-    ratio = joint / joint.max()
-    steps = np.rint(GRAINS + (GRAINS - 1) / -math.log(LEAST) * np.log(np.maximum(ratio, LEAST)))
-    return np.where(ratio < LEAST, 0, steps).astype(np.uint8)
+    with np.errstate(divide="ignore"):
+        below = np.log(joint / joint.max())
+    # Half a step below `LEAST` still is the last one: probabilities that were read give the same steps.
+    steps = np.rint(GRAINS + (GRAINS - 1) / -math.log(LEAST) * below)
+    return np.asarray(np.maximum(steps, 0.0), dtype=np.uint8)
 
 
 def _to_probabilities(grains: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return the probabilities that grains stand for, with sum 1."""
-    joint = _OF_GRAINS[grains]
+    joint = _OF_GRAINS[np.ascontiguousarray(grains)]
     return np.asarray(joint / joint.sum(dtype=np.float64), dtype=np.float32)
 
 
 def _find_quantiles(values: FloatArray, weights: FloatArray) -> Quantiles:
     """Return the weighted quantiles; each is one of the values, whose weight counts half below it."""
+    order = np.argsort(values, axis=None, kind="stable")
+    return _take_quantiles(values.ravel()[order], weights.ravel()[order])
+
+
+def _take_quantiles(ordered: FloatArray, weights: FloatArray) -> Quantiles:
+    """Return the weighted quantiles of values in their order."""
     possible = weights > 0.0
-    order = np.argsort(values[possible], kind="stable")
-    ordered, weight = values[possible][order], weights[possible][order]
-    middle = np.cumsum(weight) - 0.5 * weight
-    low, median, high = ordered[np.minimum(np.searchsorted(middle, QUANTILES), len(ordered) - 1)].tolist()
+    values, weight = ordered[possible], weights[possible]
+    middle = (np.cumsum(weight) - 0.5 * weight) / weight.sum()
+    low, median, high = values[np.minimum(np.searchsorted(middle, QUANTILES), len(values) - 1)].tolist()
     return Quantiles(low=low, median=median, high=high)
 
 
@@ -243,9 +323,8 @@ _STEPS = np.eye(len(RATES_PER_H) - 1, k=1) + np.eye(len(RATES_PER_H) - 1, k=-1)
 _TO_NEIGHBOR = 0.5 * NEIGHBOR * np.pad(_STEPS, (1, 0))
 _KEPT_RATE = np.diag(1.0 - _TO_NEIGHBOR.sum(axis=1))
 _RATE_CHANGE = (1.0 - REDRAWN) * (_KEPT_RATE + _TO_NEIGHBOR) + REDRAWN * _RATE_PRIOR
-"""Probability of the next rate by the present one; the rate 0 has no neighbor."""
+"""Probability of the next rate by the present one, `TEMPER_H` later; the rate 0 has no neighbor."""
 _IN_CELL = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
-_SPREAD_WEIGHTS = np.full(21, 1.0 / 21.0)
 _SPREAD = 1.0 + AMBIGUITY * norm.ppf((np.arange(21) + 0.5) / 21.0)
 """Points of equal probability of the ambiguity, as factors of a loss."""
 _OF_GRAINS = np.exp(-math.log(LEAST) * (np.arange(GRAINS + 1) - GRAINS) / (GRAINS - 1)).astype(np.float32)

@@ -194,6 +194,8 @@ def _describe_thickness(evidence: Evidence) -> Iterator[str]:
     known |= {"low_mm": low_m and 1e3 * low_m, "high_mm": high_m and 1e3 * high_m}
     rms_m = evidence.get("roughness_rms_m")
     known["roughness"] = "" if rms_m is None else f", roughness about {1e6 * rms_m:.0f} µm RMS"
+    if "below_minimum_probability" in evidence:  # of waves: their interval has a sentence of its own
+        known["roughness"] = None
     yield from _fill_sentences("thickness_low", known)
 
 

@@ -377,6 +377,7 @@ _UNITS: Mapping[str, Callable[[float], str]] = {
     "milli": lambda value: f"{1e3 * value:.2f}",
     "mA": lambda value_a: f"{1e3 * value_a:.2f} mA",
     "ampere": lambda value_a: f"{value_a:g}",
+    "percent": format_probability,
 }
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
-from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
+from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow, WallRow
 from hardware_drivers.measurement import DueSet
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ class PositionResult:
 
     features: Sequence[FeatureRow] = ()
     thickness: Sequence[ThicknessRow] = ()
+    wall: WallRow | None = None
     baseline: BaselineRow | None = None
     assessments: Sequence[AssessmentRow] = ()
     conditions: Sequence[Condition] = ()

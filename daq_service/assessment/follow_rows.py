@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from analysis.assessment.step import SetOfShots, assess_next_set
+from analysis.assessment.step import SetOfShots
 from analysis.errors import AnalysisError
 from analysis.ultrasound.thickness import substitute_reference
 from analysis.waves.features import ALL_FEATURE_NAMES
@@ -54,7 +54,7 @@ def _update_from_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> 
     if row.purpose is not None:
         assessor.diagnose_unscheduled(set_of_shots)
         return ()
-    assessor.state, _ = assess_next_set(before, set_of_shots, assessor.rules)
+    assessor.add_set(set_of_shots)
     return assessor.build_baseline_assessments() if has_completed_baseline(before, assessor.state) else ()
 
 

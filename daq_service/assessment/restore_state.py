@@ -88,9 +88,9 @@ def _restore_state(assessor: A, configuration_hash: str, catalogue: Catalogue, a
     """Restore the state of a new assessor, in place, and return the assessor.
 
     The stored state is used if this state format and configuration wrote all of it; otherwise all stored sets
-    are replayed. A state of an earlier baseline is ignored: the new baseline starts empty. Raise StorageError
-    if the catalogue cannot be read, ValueError, KeyError or TypeError for a stored state that cannot be
-    decoded.
+    are replayed. Of a state of an earlier baseline only the wall is used: otherwise the new baseline starts
+    empty. Raise StorageError if the catalogue cannot be read, ValueError, KeyError or TypeError for a stored
+    state that cannot be decoded.
     """
     from analysis.assessment.exact_json import from_json
 
@@ -100,6 +100,9 @@ def _restore_state(assessor: A, configuration_hash: str, catalogue: Catalogue, a
         replay_stored_sets(assessor, catalogue, archive)
     elif {row.baseline_id for row in rows} == {assessor.baseline_id}:
         assessor.state = from_json(type(assessor.state), *(row.state for row in rows))
+    else:  # a new baseline of the same wall
+        walls = [row.state for row in rows if row.place == f"{assessor.position}/wall"]
+        assessor.state = from_json(type(assessor.state), *walls)
     return assessor
 
 

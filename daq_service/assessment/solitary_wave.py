@@ -29,11 +29,12 @@ from analysis.assessment.step import (
     is_wall_alarm_active,
 )
 from analysis.diagnosis.diagnose import Diagnosis
-from analysis.diagnosis.hypotheses import WALL
+from analysis.diagnosis.hypotheses import COUPLING, SENSOR, WALL
 from analysis.statistics.design import Design, compute_chart_contributions
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from analysis.statistics.rules import HoleRule
+from analysis.wall.thickness import WallThickness
 from analysis.waves.features import EXTRACTOR_VERSION, FEATURE_NAMES, SetFeatures, ShotFeatures
 from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.acquisition.shot_features import derive_extraction_settings
@@ -43,6 +44,7 @@ from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
 from daq_service.assessment.diagnosis_texts import build_diagnosis_details
 from daq_service.assessment.rules import build_rules
+from daq_service.assessment.wall import build_wall_estimator, build_wall_results
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow
 from daq_service.settings.tree import QualitySettings, Settings
 from hardware_drivers.measurement import DueSet, Shot
@@ -91,6 +93,8 @@ class SolitaryWaveAssessor:
         self._extraction = derive_extraction_settings(settings.positions).get(position, ExtractionSettings())
         self._baseline_id = baseline.row_id
         self._rehearsal = rehearsal
+        place, rule = settings.positions[position], self.rules.alarm
+        self._wall = None if rehearsal else build_wall_estimator(place, rule, baseline)
         self.state = State()
 
     @property
@@ -121,10 +125,7 @@ class SolitaryWaveAssessor:
         return replace(position_result, conditions=(), suspicion="") if self._rehearsal else position_result
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Assess a scheduled set without any record, update the state, and return conditions and a note.
-
-        If all its shots were tried, it counts as a set with too few valid shots.
-        """
+        """Assess a scheduled set without any record; tried shots count as a set with too few valid ones."""
         return self.assess(due, [], [], n_tried=n_tried)
 
     def assess(
@@ -153,7 +154,7 @@ class SolitaryWaveAssessor:
         combined, before = self._average_valid(shots, features, outcomes or {}), self.state
         tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
         set_of_shots = combined.to_set_of_shots(due.set_index, due.due_h, tried)
-        self.state, assessment = assess_next_set(before, set_of_shots, self.rules)
+        assessment, found = self.add_set(set_of_shots)
         devices = build_transducer_conditions(
             self.position, due, self.state, self.rules, self._quality, combined.mean.reason
         )
@@ -163,10 +164,14 @@ class SolitaryWaveAssessor:
         assessments = self.build_baseline_assessments() if freezes else []
         if not any(row.set_index == due.set_index for row in assessments):
             assessments.append(self._build_assessment_row(due.set_index, due.due_h, assessment))
+        wall, thin = None, list[Condition]()
+        if found is not None:
+            wall, thin = build_wall_results(self.position, due, self.state, self.rules, found)
         return replace(
             self._build_shot_results(due, combined),
             baseline=self._build_baseline_row() if freezes else None,
             assessments=assessments,
+            wall=wall,
             conditions=[
                 # Shots without a reflected wave are a finding about the wall, not about the transducer.
                 *([] if self.state.hole.sets_running else devices),
@@ -175,9 +180,21 @@ class SolitaryWaveAssessor:
                     self.position, due, self.state, self.rules.hole, set_of_shots.flags
                 ),
                 build_not_assessed_condition(self.position, due, self.state, self._baseline_id),
+                *thin,
             ],
             suspicion=explain_confirmation_request(before, self.state, assessment, self.rules),
         )
+
+    def add_set(self, set_of_shots: SetOfShots) -> tuple[SetAssessment | None, WallThickness | None]:
+        """Update the state with a scheduled set; return its assessment and wall thickness, if it has one."""
+        self.state, assessment = assess_next_set(self.state, set_of_shots, self.rules)
+        if self._wall is None or assessment is None or assessment.distance_squared is None:
+            return assessment, None
+        cause = "" if assessment.cause is None else assessment.cause.cause
+        other_cause = cause if cause in (SENSOR, COUPLING) else ""
+        track, found = self._wall.add_set(self.state.wall, self.state.healthy, set_of_shots, other_cause)
+        self.state = replace(self.state, wall=track)
+        return assessment, found
 
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
@@ -236,10 +253,9 @@ class SolitaryWaveAssessor:
         )
 
     def _build_shot_results(self, due: DueSet, combined: CombinedShots) -> PositionResult:
-        """Return the result of a set without an assessment, conditions and baseline.
+        """Return the result of a set without an assessment: a feature row for each shot, then their mean's.
 
-        It has a feature row for each shot, then that of their mean; the number of valid shots, the flags by
-        sequence number, the numbers of invalid shots, and the reason for a poor mean as note.
+        Also the valid shots, flags by sequence number, and the reason for a poor mean as note.
         """
         of_shots = list(zip(combined.shots, combined.features, strict=True))
         rows = [_build_feature_row(due, shot, features) for shot, features in of_shots]
@@ -254,10 +270,9 @@ class SolitaryWaveAssessor:
     # Rows ----------------------------------------------------------------------------------------
 
     def _build_baseline_row(self) -> BaselineRow:
-        """Return the row of the baseline that this set has completed, ``proposed`` or ``approved``.
+        """Return the row of the baseline that this set has completed: ``approved`` if that is automatic.
 
-        Without enough usable sets its mean and covariance consist of None, and it is always ``proposed``;
-        otherwise automatic approval makes it ``approved``.
+        Without enough usable sets its mean and covariance consist of None, and it is ``proposed``.
         """
         state, rules = self.state, self.rules
         assert state.baseline is not None, "just closed"
@@ -293,10 +308,9 @@ class SolitaryWaveAssessor:
         )
 
     def build_baseline_assessments(self) -> list[AssessmentRow]:
-        """Return the assessment rows of the usable sets of the completed baseline, in order.
+        """Return the assessment rows of the usable sets of the completed baseline, in order, with distances.
 
-        They have the squared distances from the baseline, None if it has no limits. Raise AssertionError
-        before it is complete.
+        They are None if it has no limits. Raise AssertionError before it is complete.
         """
         state = self.state
         assert state.baseline is not None, "just closed"
@@ -314,10 +328,7 @@ class SolitaryWaveAssessor:
     def _build_assessment_row(
         self, set_index: int, due_h: float, assessment: SetAssessment, unscheduled_index: int = 0
     ) -> AssessmentRow:
-        """Return the row of an assessment with the limits of the baseline, its statistics and its diagnosis.
-
-        Columns without a value are None. ``due_h`` is the scheduled hour of the test.
-        """
+        """Return the row of an assessment with limits of the baseline, statistics and diagnosis."""
         baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
         other_statistics = {

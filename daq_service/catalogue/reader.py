@@ -30,6 +30,7 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
+    WallRow,
     as_dict,
 )
 from daq_service.catalogue.stored_rows import (
@@ -57,7 +58,7 @@ from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
 R = TypeVar("R", bound=Row)
-OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, AssessmentRow)
+OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, WallRow, AssessmentRow)
 Scope = Literal["set", "shot"]
 
 _MAX_VALUES = 500
@@ -81,6 +82,7 @@ class Filters(TypedDict, total=False):
 
     position: str | None
     set_index: int | None
+    among_sets: Collection[int] | None
     unscheduled_index: int | None
     state: str | None
     priority: str | None
@@ -107,6 +109,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
     "active": lambda table, active: table.c.state.in_(ACTIVE_STATES) if active else table.c.state == "normal",
+    "among_sets": lambda table, indices: table.c.set_index.in_(sorted(indices)),
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: (
@@ -173,6 +176,7 @@ class LatestRows:
     last_feature: FeatureRow | None = None
     last_assessment: AssessmentRow | None = None
     last_thickness: ThicknessRow | None = None
+    last_wall: WallRow | None = None
     active_alarms: Sequence[AlarmRow] = ()
 
 
@@ -371,6 +375,7 @@ class Catalogue:
             last_features = _read_newest_rows(connection, FeatureRow)
             last_assessments = _read_newest_rows(connection, AssessmentRow)
             last_thicknesses = _read_newest_rows(connection, ThicknessRow)
+            last_walls = _read_newest_rows(connection, WallRow)
             active = list(
                 read_rows(connection, AlarmRow, filter_by(sa.select(alarms), alarms, {"active": True}))
             )
@@ -382,6 +387,7 @@ class Catalogue:
                 last_feature=last_features.get(position),
                 last_assessment=last_assessments.get(position),
                 last_thickness=last_thicknesses.get(position),
+                last_wall=last_walls.get(position),
                 active_alarms=[alarm for alarm in active if alarm.position == position],
             )
             for position, row in sorted(last_sets.items())

@@ -22,6 +22,7 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
+    WallRow,
     as_dict,
 )
 from daq_service.catalogue.stored_rows import DamagedRow, read_values, to_json_text
@@ -40,6 +41,7 @@ ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
         "set_disabled": SetRow,
         "set_features": FeatureRow,
         "thickness_read": ThicknessRow,
+        "wall_estimated": WallRow,
         "set_assessed": AssessmentRow,
         "environment_read": EnvironmentRow,
     }

@@ -167,6 +167,28 @@ class ThicknessRow(RowOfSet):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WallRow(RowOfSet):
+    """Wall thickness from the solitary waves of a set: mean over a disc of 10 mm radius at the contact."""
+
+    id: int | None = None
+    set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
+    position: Position
+    due_h: DueH
+    extractor_version: Annotated[str, "Version of the code that computed the features"]
+    quality: Annotated[Quality, "`suspect`: the set is not used, or only an upper end is known"]
+    thickness_m: Annotated[float | None, "Wall thickness, median"] = None
+    interval_low_m: Annotated[float | None, "Lower end of the 90 % interval of `thickness_m`"] = None
+    interval_high_m: Annotated[float | None, "Upper end of the 90 % interval of `thickness_m`"] = None
+    loss_rate_m_per_s: Annotated[float | None, "Rate of the wall loss, median"] = None
+    minimum_m: Annotated[float | None, "Minimum wall of the configuration; null: none"] = None
+    below_minimum_probability: Annotated[float | None, "Probability of a wall below its minimum"] = None
+    time_to_minimum_s: Annotated[float | None, "Time until the minimum at this rate, median"] = None
+    time_to_minimum_low_s: Annotated[float | None, "The same, 5 % quantile"] = None
+    reason: Annotated[str | None, "Why there is no thickness, or it is not good; null: it is"] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EnvironmentRow(Row):
     """Values of supply and climate probe around a set; None if not available."""
 

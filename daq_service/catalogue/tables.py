@@ -136,6 +136,8 @@ thickness = _create_table(
     sequence=sa.ForeignKey("shots.sequence"),
 )
 _add_index(thickness, "set_index")
+wall = _create_table("wall", rows.WallRow, _make_constraint("wall", *_KEY), unscheduled_index=_SCHEDULED)
+_add_index(wall, "set_index")
 environment = _create_table("environment", rows.EnvironmentRow, _make_constraint("environment", "set_index"))
 _add_index(environment, "due_h")
 baselines = _create_table(

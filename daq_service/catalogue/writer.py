@@ -31,6 +31,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
+    WallRow,
 )
 from daq_service.catalogue.stored_rows import (
     begin_write,
@@ -89,6 +90,7 @@ class SetCommit:
     shots: list[ShotRow] = field(default_factory=list)
     features: list[FeatureRow] = field(default_factory=list)
     thickness: list[ThicknessRow] = field(default_factory=list)
+    wall: list[WallRow] = field(default_factory=list)
     baselines: list[BaselineRow] = field(default_factory=list)
     assessments: list[AssessmentRow] = field(default_factory=list)
     environment: list[EnvironmentRow] = field(default_factory=list)
@@ -233,6 +235,7 @@ class RecorderCatalogue(Catalogue):
             insert_rows(connection, commit.shots)
             insert_rows(connection, commit.features)
             insert_rows(connection, commit.thickness)
+            insert_rows(connection, commit.wall)
             baseline_ids = [_replace_or_insert_row(connection, row) for row in commit.baselines]
             _insert_assessments(connection, commit.assessments)
             insert_rows(connection, commit.environment)

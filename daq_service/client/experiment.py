@@ -120,6 +120,12 @@ class Experiment:
         """Read wall thickness from pulse echo, m, with its 95 % interval, one row per set and probe."""
         return self._read_table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
 
+    def wall(
+        self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
+    ) -> pd.DataFrame:
+        """Read wall thickness from solitary waves, m, with its 90 % interval, one row per set."""
+        return self._read_table(rows.WallRow, "wall", position=position, from_h=from_h, to_h=to_h)
+
     def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
         """Read supply and climate around each set, one row per set; empty if neither is configured."""
         return self._read_table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)

@@ -45,6 +45,8 @@ log = logging.getLogger(__name__)
 
 FROZEN_FIELDS = frozenset({"healthy", "n_left_out", "baseline", "reference"})
 """Fields of a state that rarely change. They are large and have a row of their own."""
+WALL_FIELDS = frozenset({"wall"})
+"""Fields that are large and change with each set; they have a row of their own."""
 
 
 class SetAssessor:
@@ -389,12 +391,16 @@ def add_position_rows(
     transaction.features += position_result.features
     transaction.thickness += position_result.thickness
     transaction.assessments += position_result.assessments
+    if position_result.wall is not None:
+        transaction.wall.append(position_result.wall)
     # A reader joins the row, so the event holds no copy; that of a collecting baseline is replaced later.
     transaction.events.append(event("sets", f"set_{its_set.state}", {}))
     if any(row.shot_index is None for row in position_result.features):
         transaction.events.append(event("features", "set_features", {}))
     if position_result.thickness:
         transaction.events.append(event("thickness", "thickness_read", {}))
+    if position_result.wall is not None:
+        transaction.events.append(event("thickness", "wall_estimated", {}))
     if (baseline := position_result.baseline) is not None:
         approved_ns = moment.utc_ns if baseline.state == "approved" else None
         baseline = replace(baseline, created_utc_ns=moment.utc_ns, approved_utc_ns=approved_ns)
@@ -481,15 +487,18 @@ class PositionAssessors:
 def find_changed_state_rows(
     before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
 ) -> list[AssessorStateRow]:
-    """Build the rows of a state for the parts, frozen and running, that differ from the earlier state.
+    """Build the rows of a state for the parts (frozen, wall, running) that differ from the earlier state.
 
-    Both parts if that is None. Fields are compared by identity.
+    All parts if that is None. Fields are compared by identity.
     """
-    parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
+    names_of_all = {item.name for item in fields(after)}
+    running = names_of_all - FROZEN_FIELDS - WALL_FIELDS
+    parts = {"frozen": FROZEN_FIELDS, "wall": WALL_FIELDS & names_of_all, "running": running}
     rows = []
     for part, names in parts.items():
         values = {item.name: getattr(after, item.name) for item in fields(after) if item.name in names}
-        if before is not None and all(getattr(before, name) is value for name, value in values.items()):
+        unchanged = before is not None and all(getattr(before, name) is values[name] for name in values)
+        if unchanged or not values:
             continue
         rows.append(
             AssessorStateRow(

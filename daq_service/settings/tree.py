@@ -185,8 +185,8 @@ class PositionSettings(Section):
     calibration: CalibrationSettings = CalibrationSettings()
     """External calibration of this position's sensor."""
     minimum_wall_m: float | None = Field(default=None, gt=0.0, le=1.0)
-    """Wall thickness below which a probe raises `thickness_low`, where it exceeds the limit by
-    `alarms.thickness_loss_fraction`; absent: only that limit applies."""
+    """Wall thickness below which `thickness_low` is raised. Of a probe the larger limit counts, this one or
+    that by `alarms.thickness_loss_fraction`; a transducer has no such alarm without this key."""
     chain: ChainParameters = ChainParameters()
     """This transducer's chain; keys not given are those of `[chain]`."""
     plate: PlateParameters = PlateParameters()
@@ -495,16 +495,14 @@ class Settings(BaseSettings):
         return self
 
     def _check_minimum_walls(self) -> None:
-        """Raise ValueError for a minimum wall without a probe, or not below the initial thickness."""
-        initial_m = self.ultrasound.initial_thickness_m
+        """Raise ValueError for a minimum wall that is not below the initial thickness."""
         for name, place in self.positions.items():
-            key = f"positions.{name}.minimum_wall_m = {place.minimum_wall_m}"
-            if place.minimum_wall_m is not None and place.method != PULSE_ECHO:
-                raise ValueError(f"{key} needs the method pulse_echo, which measures thickness; remove it")
+            of_probe = place.method == PULSE_ECHO
+            initial_m = self.ultrasound.initial_thickness_m if of_probe else place.plate.thickness_m
             if place.minimum_wall_m is not None and place.minimum_wall_m >= initial_m:
-                raise ValueError(
-                    f"{key} must be below ultrasound.initial_thickness_m = {initial_m}; correct one of them"
-                )
+                above = "ultrasound.initial_thickness_m" if of_probe else "the position's plate.thickness_m"
+                key = f"positions.{name}.minimum_wall_m = {place.minimum_wall_m}"
+                raise ValueError(f"{key} must be below {above} = {initial_m}; correct one of them")
 
     def _check_set_overlap(self) -> None:
         """Raise ValueError if a set's strikes take more than 99 % of the schedule's shortest interval."""

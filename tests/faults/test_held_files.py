@@ -93,8 +93,10 @@ def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tm
     assert not list((data / "sets").glob("*.tmp"))
     noted = [line.split(" ", 1) for line in log.read_text(encoding="utf-8").splitlines()]
     files = {Path(path).name for _, path in noted}
-    assert {call for call, _ in noted} >= set(CALLS.split(",")) - {"unlink"}
-    if when != "rate 10":
+    refused = {call for call, _ in noted}
+    assert refused >= {"open", "read"}
+    if when != "rate 10":  # few calls are refused there, and of the few renames often none
+        assert refused >= set(CALLS.split(",")) - {"unlink"}
         assert {
             "catalogue.sqlite",
             "recorder.lock",

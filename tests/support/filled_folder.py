@@ -31,6 +31,7 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
+    WallRow,
     as_dict,
 )
 from daq_service.catalogue.writer import build_event_payload
@@ -216,11 +217,22 @@ class FilledFolder:
                 )
                 if assessed:
                     commit.assessments.append(self.assessment(position, index, due.due_h))
+                    if index >= N_BASELINE:
+                        commit.wall.append(WallRow(**common, **self.wall(position, due.due_h)))
             commit.events += self._events(due, position, place.method)
         committed = self.catalogue.commit_set(commit)
         if shown:
             self.show(records, due.due_h)
         return committed.event_ids
+
+    def wall(self, position: str, hour: float) -> dict[str, float]:
+        wall = 6.35e-3 * (1.0 - depth(position, hour))
+        return {
+            "thickness_m": wall,
+            "interval_low_m": 0.95 * wall,
+            "interval_high_m": min(6.35e-3, 1.05 * wall),
+            "loss_rate_m_per_s": 4e-9,
+        }
 
     def thickness(self, index: int, hour: float) -> dict[str, float]:
         rng = np.random.default_rng([65, index])

@@ -15,6 +15,7 @@ from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.wall import posterior
 from analysis.wall.bank import ESTIMAND, FEATURES, Bank
 from analysis.wall.calibration import calibrate
+from analysis.wall.thickness import Pool, WallModel, WallThickness, estimate_thickness
 from daq_service.assessment.wall_bank import build_bank, open_bank, store_bank
 from daq_service.cli.offline.table_file import TableFile, read_table
 from daq_service.errors import UsageError
@@ -25,34 +26,7 @@ from simulator.errors import SimulatorError
 
 HOUR = "due_h"
 """Column of a table with the hour of the test."""
-H_PER_YEAR = 8766.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WallRow:
-    """Wall thickness after a set; None without an estimate, and ``reason``.
-
-    Attributes
-    ----------
-    thickness_m, interval_low_m, interval_high_m
-        Median and 90 % interval.
-    rate_m_per_year
-        Median rate of loss.
-    probability_below
-        Probability that the wall is thinner than the minimum.
-    minimum_after_h, minimum_earliest_h
-        Hours until the minimum is reached at the present rate, median and 5 % quantile; None: never.
-    """
-
-    hour: float
-    thickness_m: float | None = None
-    interval_low_m: float | None = None
-    interval_high_m: float | None = None
-    rate_m_per_year: float | None = None
-    probability_below: float | None = None
-    minimum_after_h: float | None = None
-    minimum_earliest_h: float | None = None
-    reason: str = ""
+S_PER_H, S_PER_YEAR = 3600.0, 31_557_600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +36,7 @@ class Wall:
     file: str
     position: str
     refused: str | None = None
-    rows: list[WallRow] = field(default_factory=list)
+    rows: list[tuple[float, WallThickness]] = field(default_factory=list)
 
 
 def run_wall(
@@ -115,8 +89,12 @@ def run_wall(
         except (InvalidInputError, SingularCovarianceError) as error:
             results.append(Wall(file=str(path), position=name, refused=str(error)))
     if as_json:
-        answer = {"estimand": ESTIMAND, "initial_thickness_m": bank.thickness_m, "tables": results}
-        click.echo(json.dumps(answer, default=asdict, allow_nan=False))
+        found = [
+            {**asdict(one), "rows": [{"hour": hour, **asdict(row)} for hour, row in one.rows]}
+            for one in results
+        ]
+        answer = {"estimand": ESTIMAND, "initial_thickness_m": bank.thickness_m, "tables": found}
+        click.echo(json.dumps(answer, allow_nan=False))
         return
     click.echo(f"wall thickness, {ESTIMAND}; 90 % intervals")
     for one in results:
@@ -140,7 +118,7 @@ def _print_progress(done: int, total: int, name: str) -> None:
 
 def _estimate_rows(
     table: TableFile, bank: Bank, changes: np.ndarray, end_h: float, minimum_m: float | None
-) -> Iterator[WallRow]:
+) -> Iterator[tuple[float, WallThickness]]:
     """Yield the wall thickness after each set that follows the baseline.
 
     Raises InvalidInputError for a baseline that cannot be used, or without sets after it.
@@ -154,36 +132,11 @@ def _estimate_rows(
     if is_baseline.all():
         raise InvalidInputError(f"no set follows the baseline, which ends at hour {end_h:g}")
     state = posterior.begin(len(changes), end_h)
+    hypotheses = posterior.compare(calibration, changes)
+    model, pool = WallModel(hypotheses=hypotheses, initial_m=bank.thickness_m, minimum_m=minimum_m), Pool()
     for hour, row in zip(hours[~is_baseline].tolist(), logs[~is_baseline], strict=True):
-        if not np.isfinite(row).all():
-            missing = ", ".join(name for name, value in zip(FEATURES, row, strict=True) if math.isnan(value))
-            yield WallRow(hour=hour, reason=f"no value of {missing}")
-            continue
-        state, misfit = posterior.add_set(state, calibration, changes, row, hour)
-        if misfit > 1.0:
-            reason = f"not explained by any wall: {misfit:.2g} x the limit. Inspect sensor and contact"
-            yield WallRow(hour=hour, reason=reason)
-            continue
-        yield _build_row(state, bank.thickness_m, minimum_m)
-
-
-def _build_row(state: posterior.WallState, initial_m: float, minimum_m: float | None) -> WallRow:
-    """Return the row of a state; the interval is open below where the loss is beyond what is valid."""
-    loss, rate = posterior.estimate_loss(state), posterior.estimate_rate(state)
-    is_open = loss.high > posterior.LARGEST_VALID
-    limit = None if minimum_m is None else 1.0 - minimum_m / initial_m
-    left = None if limit is None else posterior.forecast(state, limit)
-    return WallRow(
-        hour=state.hour,
-        thickness_m=None if is_open else initial_m * (1.0 - loss.median),
-        interval_low_m=None if is_open else initial_m * (1.0 - loss.high),
-        interval_high_m=initial_m * (1.0 - loss.low),
-        rate_m_per_year=initial_m * rate.median * H_PER_YEAR,
-        probability_below=None if limit is None else posterior.compute_exceedance(state, limit),
-        minimum_after_h=None if left is None or math.isinf(left.median) else left.median,
-        minimum_earliest_h=None if left is None or math.isinf(left.low) else left.low,
-        reason=f"at least {1e3 * initial_m * loss.low:.2f} mm lost" if is_open else "",
-    )
+        state, pool, found = estimate_thickness(model, state, pool, row, hour)
+        yield hour, found
 
 
 def _describe(one: Wall, initial_m: float) -> list[str]:
@@ -191,16 +144,18 @@ def _describe(one: Wall, initial_m: float) -> list[str]:
     if one.refused is not None:
         return [f"{one.file}: refused, {one.refused}"]
     lines = [f"{one.file} (position {one.position}, {1e3 * initial_m:.2f} mm at the baseline)"]
-    for row in one.rows:
-        if row.thickness_m is None:
-            lines.append(f"  hour {row.hour:8.1f}  {row.reason}")
+    for hour, row in one.rows:
+        text = f"  hour {hour:8.1f}  "
+        interval_m = row.interval_low_m, row.interval_high_m
+        if row.thickness_m is None or row.loss_rate_m_per_s is None:
+            lines.append(text + row.reason)
             continue
-        low_mm, high_mm = (1e3 * (value or 0.0) for value in (row.interval_low_m, row.interval_high_m))
-        text = f"  hour {row.hour:8.1f}  {1e3 * row.thickness_m:6.2f} mm ({low_mm:.2f} to {high_mm:.2f})"
-        if row.rate_m_per_year is not None:
-            text += f", {1e3 * row.rate_m_per_year:.2g} mm per year"
-        if row.probability_below is not None:
-            at = "not reached" if row.minimum_after_h is None else f"in {row.minimum_after_h:.0f} h"
-            text += f", below the minimum: {row.probability_below:.0%}, {at}"
+        low_mm, high_mm = (1e3 * (value or 0.0) for value in interval_m)
+        text += f"{1e3 * row.thickness_m:6.2f} mm ({low_mm:.2f} to {high_mm:.2f})"
+        text += f", {1e3 * S_PER_YEAR * row.loss_rate_m_per_s:.2g} mm per year"
+        if row.below_minimum_probability is not None:
+            left_s = row.time_to_minimum_s
+            at = "not reached" if left_s is None else f"in {left_s / S_PER_H:.0f} h"
+            text += f", below the minimum: {row.below_minimum_probability:.0%}, {at}"
         lines.append(text)
     return lines

@@ -151,7 +151,7 @@ def _describe_lost_events(folder: Path, catalogue: Catalogue) -> dict[str, str]:
 
 def _convert_newest_rows(latest: LatestRows) -> dict[str, object]:
     """Convert the newest rows and active alarms of a position to objects for JSON; None for missing."""
-    names = ("last_set", "last_feature", "last_assessment", "last_thickness")
+    names = ("last_set", "last_feature", "last_assessment", "last_thickness", "last_wall")
     rows_by_name = {name: None if (row := getattr(latest, name)) is None else as_dict(row) for name in names}
     return {
         "position": latest.position,

@@ -229,6 +229,9 @@ def _format_result(row: Facts) -> tuple[str, str, str]:
         texts.append(f"ToF {1e6 * feature['tof_pp_s']:.1f} us")
     if feature["amplitude_ratio"] is not None:
         texts.append(f"AR {feature['amplitude_ratio']:.3f}")
+    if (wall := row["last_wall"]) is not None and wall["thickness_m"] is not None:
+        mm = [1e3 * wall[name] for name in ("thickness_m", "interval_low_m", "interval_high_m")]
+        texts.append("wall {:.2f} mm ({:.2f} to {:.2f})".format(*mm))
     return ", ".join(texts) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 

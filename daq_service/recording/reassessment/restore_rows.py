@@ -49,6 +49,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
+    WallRow,
 )
 from daq_service.recording.experiment import find_foreign_reason
 from daq_service.recording.reassessment.changes import drop_diagnosis_state
@@ -61,7 +62,7 @@ R = TypeVar("R", bound=Row)
 
 _STORED_ROWS: Mapping[str, type[Row]] = {**ROW_OF_EVENT, "baseline_frozen": BaselineRow}
 """Kinds of events that report a complete row."""
-_RESTORED_ROWS = ("sets", "shots", "features", "thickness", "baselines", "assessments", "environment")
+_RESTORED_ROWS = ("sets", "shots", "features", "thickness", "wall", "baselines", "assessments", "environment")
 _SETS_OF_A_COMMIT = 64
 """Restored sets are stored together: a commit costs more than the rows of a set."""
 _COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_assessed")
@@ -480,6 +481,7 @@ def _replace_computed_rows(
     """
     transaction.sets = _merge_set_rows(transaction.sets, _collect_rows(SetRow, events))
     transaction.environment = _collect_rows(EnvironmentRow, events) or transaction.environment
+    transaction.wall = _collect_rows(WallRow, events)
     if all_rows or not transaction.shots:
         single = [row for row in transaction.features if row.shot_index is not None]
         transaction.features = [*single, *_collect_rows(FeatureRow, events)]
@@ -496,8 +498,8 @@ def _replace_computed_rows(
 def _collect_reported_rows(transaction: SetCommit) -> list[Row]:
     """List the rows of a transaction that events report; of features only those of sets."""
     of_set = [row for row in transaction.features if row.shot_index is None]
-    rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
-    return list(itertools.chain(*rows))
+    of_waves = (transaction.sets, of_set, transaction.wall, transaction.assessments)
+    return list(itertools.chain(*of_waves, transaction.thickness, transaction.environment))
 
 
 def _merge_set_rows(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:

@@ -139,6 +139,11 @@ class ThicknessRow(Answer):
     """Pulse-echo result of a set."""
 
 
+@_copy_fields_of(rows.WallRow)
+class WallRow(Answer):
+    """Wall thickness from the solitary waves of a set."""
+
+
 @_copy_fields_of(rows.AssessmentRow)
 class AssessmentRow(Answer):
     """Result of the novelty detection of a set."""
@@ -203,6 +208,7 @@ class AlarmEvidence(BaseModel):
     thickness_m: float | None = None
     interval_m: list[float] | None = None
     roughness_rms_m: float | None = None
+    below_minimum_probability: float | None = None
     limit_m: float | None = None
     travel_time_s: float | None = None
     reference_travel_time_s: float | None = None
@@ -266,6 +272,10 @@ class FeaturePage(Page[FeatureRow]):
 
 class ThicknessPage(Page[ThicknessRow]):
     """Pulse-echo results in order."""
+
+
+class WallPage(Page[WallRow]):
+    """Wall thickness from solitary waves in order."""
 
 
 class AssessmentPage(Page[AssessmentRow]):
@@ -389,6 +399,7 @@ class PositionState(PositionStanding):
     last_set: SetRow | None
     last_feature: FeatureRow | None
     last_thickness: ThicknessRow | None
+    last_wall: WallRow | None
     last_assessment: AssessmentRow | None
     disabled_reason: str | None
     active_alarms: int
@@ -585,6 +596,8 @@ MEASURED_FIELDS = tuple(
 )
 TREND_STANDARD_ERRORS = {f"standard_error_{name}": name for name in rows.MEASURED[rows.FeatureRow]}
 """Columns of a trend with the standard errors of a feature."""
+TREND_WALL = ("thickness_m", "interval_low_m", "interval_high_m")
+"""Columns of a transducer's trend with its wall thickness; a probe measures them."""
 TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS, *TREND_STANDARD_ERRORS)
 
 

@@ -58,6 +58,17 @@ function list(values) {
   );
 }
 
+/**
+ * Return the wall thickness from the waves with its 90 % interval, or why there is none.
+ *
+ * @param {any} row of `/wall`
+ */
+function wallText({ thickness_m: wall, interval_low_m: low, interval_high_m: high, quality, reason }) {
+  if (wall === null) return reason ?? NONE;
+  const interval = `${fixed(1e3 * low, 2)} to ${fixed(1e3 * high, 2)}, 90 %`;
+  return `${quantity(wall, 1e3, 2, "mm")} (${interval}${quality === "good" ? "" : `; ${quality}`})`;
+}
+
 export class Tiles {
   /** @param {HTMLElement} root */
   constructor(root) {
@@ -275,6 +286,7 @@ export class Tiles {
       ["Quality", feature?.quality ?? NONE],
     ];
     if (assessment?.diagnosis) values.unshift(["Diagnosis", diagnosisText(assessment)]);
+    if (state.last_wall) values.unshift(["Wall", wallText(state.last_wall)]);
     return this.body(state, figure, note, values);
   }
 

@@ -81,7 +81,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                     "calibration": place.calibration.model_dump(),
                     "minimum_wall_m": settings.find_wall_limit_m(name)
                     if place.method == PULSE_ECHO
-                    else None,
+                    else place.minimum_wall_m,
                 }
                 for name, place in settings.positions.items()
             ],

@@ -163,6 +163,9 @@ VALUES = (
     ("amplitude_ratio", "last_feature", "amplitude_ratio"),
     ("thickness_meters", "last_thickness", "thickness_m"),
     ("thickness_loss_meters", "last_thickness", "thickness_loss_m"),
+    ("wall_thickness_meters", "last_wall", "thickness_m"),
+    ("wall_thickness_low_meters", "last_wall", "interval_low_m"),
+    ("wall_thickness_high_meters", "last_wall", "interval_high_m"),
     ("last_set_shots", "last_set", "n_taken"),
     ("last_set_missed_shots", "last_set", "n_missed"),
 )

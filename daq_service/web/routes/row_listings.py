@@ -140,6 +140,7 @@ add_listing_route("sets", rows.SetRow, models.SetPage, POSITION | STATE | BY_SET
 OF_FEATURES = POSITION | SCOPE | BY_SET
 add_listing_route("features", rows.FeatureRow, models.FeaturePage, OF_FEATURES, add_standard_errors)
 add_listing_route("thickness", rows.ThicknessRow, models.ThicknessPage, POSITION | SET_INDEX | HOURS)
+add_listing_route("wall", rows.WallRow, models.WallPage, POSITION | SET_INDEX | HOURS)
 add_listing_route("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, add_quality)
 add_listing_route("environment", rows.EnvironmentRow, models.EnvironmentPage, HOURS)
 add_listing_route("alarms", rows.AlarmRow, models.AlarmPage, POSITION | HOURS | OF_ALARMS)

@@ -94,6 +94,7 @@ def _build_state(context: Context, fresh: Freshness, last: LatestRows) -> dict[s
         "last_set": _to_json_row(fresh, last.last_set),
         "last_feature": _to_json_row(fresh, last.last_feature),
         "last_thickness": _to_json_row(fresh, last.last_thickness),
+        "last_wall": _to_json_row(fresh, last.last_wall),
         "last_assessment": None if assessment is None else add_quality(context, fresh, [assessment])[0],
         "disabled_reason": find_disabled(alarms).get(last.position),
         "active_alarms": len(visible_alarms),

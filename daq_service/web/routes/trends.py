@@ -15,7 +15,7 @@ from starlette.responses import Response
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rollups import QUALITIES, Kind, list_bin_value_names
-from daq_service.catalogue.rows import AssessmentRow
+from daq_service.catalogue.rows import AssessmentRow, WallRow
 from daq_service.catalogue.standard_errors import read_error_columns
 from daq_service.catalogue.trends import compute_trend_part, read_trend_bins
 from daq_service.web.answers.json_answer import JsonAnswer, format_hours_as_rfc3339
@@ -23,6 +23,7 @@ from daq_service.web.answers.models import (
     TREND_ASSESSMENTS,
     TREND_FIELDS,
     TREND_STANDARD_ERRORS,
+    TREND_WALL,
     UNCHANGED,
     Fit,
     Trend,
@@ -101,13 +102,14 @@ def get_trend(
 
     Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets. Its columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
-    range has smaller bins, at last single sets. Standard errors are given by name only, for single sets.
+    range has smaller bins, at last single sets. Standard errors are given by name only, for single sets;
+    so is the wall thickness of a transducer, of a bin that of its first set.
     Once the test has ended, the answer has an ETag. An unknown position: 404; an unknown column: 422.
     """
     method = context.settings.positions[context.validate_position(position)].method
     field_list = None if fields is None else ",".join(fields)
     known = (*METHODS[method].value_names, *ASSESSMENTS)
-    extra = STANDARD_ERRORS if method == SOLITARY_WAVE else ()
+    extra = (*STANDARD_ERRORS, *TREND_WALL) if method == SOLITARY_WAVE else ()
     chosen = parse_fields(method, field_list, known=known, extra=extra)
     last_h = find_last_hour(from_h, to_h)
     fresh = context.read_freshness()
@@ -130,6 +132,11 @@ def get_trend(
     else:
         bin_sets, bins = binned
         columns, bins_json = build_bin_columns(kind, bins, chosen), build_published_bins(kind, bins, chosen)
+    if method == SOLITARY_WAVE and (names := [name for name in TREND_WALL if name in chosen]):
+        stored = context.catalogue().rows(WallRow, position=position, among_sets=columns["set_index"])
+        wall_of = {row.set_index: row for row in stored}
+        for name in names:
+            columns[name] = [getattr(wall_of.get(index), name, None) for index in columns["set_index"]]
     columns["due_utc"] = format_hours_as_rfc3339(fresh.epoch_utc_ns, columns["due_h"])
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(

@@ -64,6 +64,7 @@ TABLES: Mapping[str, TableKind] = {
         rows.AssessmentRow, "Squared distances, limits and outliers", unscheduled_set=True
     ),
     "thickness": TableKind(rows.ThicknessRow, "Pulse-echo results"),
+    "wall": TableKind(rows.WallRow, "Wall thickness from solitary waves"),
     "environment": TableKind(rows.EnvironmentRow, "Supply and climate around each set"),
     "baselines": TableKind(rows.BaselineRow, "Baselines of every position: lifecycle, quality, limits"),
     "alarms": TableKind(rows.AlarmRow, "Alarms with their evidence"),

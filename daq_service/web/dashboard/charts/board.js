@@ -92,7 +92,7 @@ export class Board {
     );
     this.charts.tof.configure({ title: "Time of flight", empty: "No set yet" }, host);
     this.charts.amplitudeRatio.configure({ title: "Amplitude ratio", empty: "No set yet" }, host);
-    this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo waveform yet" }, host);
+    this.charts.thickness.configure({ title: "Wall thickness", empty: "No thickness yet" }, host);
     this.charts.feature.configure({ title: "Any feature", empty: "No set yet" }, host);
     this.choice = /** @type {HTMLSelectElement} */ (
       el("select", { class: "field small", "aria-label": "Feature of this chart" })
@@ -145,22 +145,17 @@ export class Board {
     const others = (/** @type {string} */ method) =>
       view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
     const waves = [charted, ...over, ...others("solitary_wave")];
-    this.charts.thickness.hidden = !probe;
+    const walls = waves.filter((position) => this.trend(position)?.columns.thickness_m?.some(Number.isFinite));
+    const measured = [...(probe ? [probe, ...others("pulse_echo")] : []), ...walls];
+    this.charts.thickness.hidden = !measured.length;
     if (this.loader.trends.has(charted)) {
       this.distance(view, waves);
       this.controlChart(view, waves);
       this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
-    if (probe && this.loader.trends.has(probe))
-      this.draw(
-        this.charts.thickness,
-        view,
-        [probe, ...others("pulse_echo")],
-        "thickness_m",
-        "thickness_mm",
-        "thickness",
-      );
+    if (this.trend(measured[0]))
+      this.draw(this.charts.thickness, view, measured, "thickness_m", "thickness_mm", "thickness");
     const ofProbe = probe && view.feature in (this.loader.baseline(probe)?.units ?? {});
     const shown = ofProbe ? [probe, ...others("pulse_echo")] : waves;
     if (this.trend(shown[0])?.columns[view.feature]) {
@@ -217,6 +212,7 @@ export class Board {
         onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       const errors = columns[k][`standard_error_${field}`];
+      const { interval_low_m: lower, interval_high_m: upper } = field === "thickness_m" ? columns[k] : {};
       const shifted = (/** @type {number} */ times) =>
         inUnit(
           columns[k][field].map((/** @type {number | null} */ value, /** @type {number} */ row) =>
@@ -245,7 +241,9 @@ export class Board {
         ),
         firstSets: onAxis(columns[k].set_index, rows[k]),
         step: trends[k].bin_sets,
-        ...(trends[k].bins?.minimum[field]
+        ...(lower && upper
+          ? { low: inUnit(lower), high: inUnit(upper) }
+          : trends[k].bins?.minimum[field]
           ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }
           : errors
             ? { low: shifted(-1), high: shifted(1) }
@@ -317,7 +315,8 @@ export class Board {
         y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
       });
     const [{ step, low }] = lines;
-    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : low ? "bars: ± standard error" : "";
+    const error = field === "thickness_m" ? "bars: interval, 95 % of probes, 90 % of waves" : "bars: ± standard error";
+    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : low ? error : "";
     const remark = relative
       ? "relative to each position's own baseline" +
         (this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : "")

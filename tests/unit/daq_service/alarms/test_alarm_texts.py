@@ -121,8 +121,7 @@ def test_a_long_value_is_cut_and_a_missing_one_is_a_dash(kind, variant):
             {},
             (
                 "B: wall thickness 4.57 mm, limit 5.71 mm. 95 % interval 3.84 to 5.30 mm (hour 55.5). "
-                "Check the "
-                "back-wall echo, then inspect the wall at B."
+                "Check the echo or the waveform, then inspect the wall at B."
             ),
         ),
         (

@@ -248,7 +248,7 @@ def test_a_file_with_the_key_storage_journal_loads_with_a_warning(tmp_path, capl
     ("position", "problem"),
     [
         ({"method": "pulse_echo", "minimum_wall_m": 7e-3}, "minimum_wall_m = 0.007 must be below"),
-        ({"method": "solitary_wave", "minimum_wall_m": 5e-3}, "needs the method pulse_echo"),
+        ({"method": "solitary_wave", "minimum_wall_m": 6.35e-3}, "plate.thickness_m = 0.00635"),
         (
             {
                 "method": "solitary_wave",

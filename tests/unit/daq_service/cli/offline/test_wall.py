@@ -61,12 +61,12 @@ def test_a_thinning_wall_has_intervals_a_rate_and_a_date(bank, tmp_path):
     assert sum(within) >= 16, within
     last = rows[-1]
     assert 0.2e-3 < last["interval_high_m"] - last["interval_low_m"] < 2.5e-3
-    rate_m_per_year = bank.thickness_m * 0.02 / 12.0 * 8766.0
-    assert rate_m_per_year / 2.5 < last["rate_m_per_year"] < 2.5 * rate_m_per_year
-    assert last["probability_below"] < 0.2
-    left_h = (last["thickness_m"] - 3e-3) / last["rate_m_per_year"] * 8766.0
-    assert left_h / 2.0 < last["minimum_after_h"] < 2.0 * left_h
-    assert last["minimum_earliest_h"] < last["minimum_after_h"]
+    rate_m_per_s = bank.thickness_m * 0.02 / (12.0 * 3600.0)
+    assert rate_m_per_s / 2.5 < last["loss_rate_m_per_s"] < 2.5 * rate_m_per_s
+    assert last["below_minimum_probability"] < 0.2
+    left_s = (last["thickness_m"] - 3e-3) / last["loss_rate_m_per_s"]
+    assert left_s / 2.4 < last["time_to_minimum_s"] < 2.4 * left_s  # step of the rates
+    assert last["time_to_minimum_low_s"] < last["time_to_minimum_s"]
 
 
 def test_beyond_three_quarters_only_the_least_loss_is_stated(bank, tmp_path):

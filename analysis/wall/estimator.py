@@ -1,0 +1,144 @@
+"""Estimate the wall thickness of a transducer set after set, from its baseline on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from analysis.errors import AnalysisError, InvalidInputError
+from analysis.statistics.rules import AlarmRule
+from analysis.wall import posterior
+from analysis.wall.bank import Bank
+from analysis.wall.calibration import calibrate
+from analysis.wall.thickness import (
+    WallModel,
+    WallThickness,
+    WallTrack,
+    begin_from,
+    estimate_thickness,
+    find_start,
+    pack,
+    to_logs,
+    update_alarm,
+)
+from analysis.waves.record_reduction import FloatArray
+
+
+class Features(Protocol):
+    """Features of a set by name, and its hour."""
+
+    @property
+    def due_h(self) -> float:
+        """Return the hour of the test."""
+        ...
+
+    @property
+    def values(self) -> Mapping[str, float | None]:
+        """Return the features; None where one is missing."""
+        ...
+
+
+OpenBank = Callable[[], tuple[Bank, FloatArray] | None]
+"""Returns a bank and its changes by hypothesis (`posterior.predict_changes`); None: it is not built yet."""
+
+
+class WallEstimator:
+    """Estimator of one transducer and baseline.
+
+    Parameters
+    ----------
+    open_bank
+        Called again before each set while it returns None.
+    minimum_m
+        Thickness below which the wall must not be; None: none is stated.
+    is_first
+        The baseline is the first one of the test, on a sound wall.
+    """
+
+    def __init__(
+        self,
+        open_bank: OpenBank,
+        rule: AlarmRule,
+        minimum_m: float | None,
+        *,
+        baseline_id: int,
+        is_first: bool,
+    ) -> None:
+        self._open_bank, self._rule, self.minimum_m = open_bank, rule, minimum_m
+        self._baseline_id, self._is_first = baseline_id, is_first
+        self._bank = open_bank()
+        self._model: WallModel | None = None
+        self._refused = ""
+        self._last: tuple[WallTrack, posterior.WallState] | None = None
+
+    def add_set(
+        self, track: WallTrack | None, baseline: Sequence[Features], features: Features, other_cause: str = ""
+    ) -> tuple[WallTrack | None, WallThickness | None]:
+        """Return the track after a set behind the baseline, and the wall thickness; None without a bank.
+
+        Parameters
+        ----------
+        baseline
+            Its sets.
+        other_cause
+            Diagnosis of the set, if not the wall: then it says nothing about the wall.
+        """
+        if not self._refused and (self._model is None or track is None):
+            self._bank = self._bank or self._open_bank()
+            if self._bank is None:
+                return track, None
+            try:
+                track = self._begin(*self._bank, track, baseline)
+            except AnalysisError as error:
+                self._refused = str(error)
+        if self._refused or track is None or self._model is None:
+            return track, WallThickness(quality="bad", reason=self._refused)
+        known, before = self._last or (None, None)
+        before = before if known is track and before is not None else track.unpack()
+        after, pool, found = estimate_thickness(
+            self._model,
+            before,
+            track.pool,
+            to_logs(features.values),
+            features.due_h,
+            unused=f"diagnosed as a change of the {other_cause}: not used" if other_cause else "",
+        )
+        packed = track.packed if after is before else pack(after)
+        track = replace(track, packed=packed, pool=pool, alarm=update_alarm(track.alarm, found, self._rule))
+        self._last = track, after
+        return track, found
+
+    def _begin(
+        self,
+        bank: Bank,
+        changes: FloatArray,
+        track: WallTrack | None,
+        baseline: Sequence[Features],
+    ) -> WallTrack:
+        """Calibrate to the baseline; return its track, the given one if it is of this baseline.
+
+        A track of an earlier baseline goes on from the loss that it has in the middle of this one. Raise
+        AnalysisError if the baseline cannot be used, or the loss at a renewed one is not known.
+        """
+        expected, hour = bank.sound, float(np.mean([one.due_h for one in baseline]))
+        if track is None and not self._is_first:
+            raise InvalidInputError("the loss at the renewed baseline is not known: measure the wall")
+        if track is None:
+            begun = posterior.begin(len(changes), hour)
+            track = WallTrack(packed=pack(begun), baseline_id=self._baseline_id)
+        elif track.baseline_id != self._baseline_id:
+            begun = posterior.wait(track.unpack(), hour)
+            track = WallTrack(packed=pack(begun), baseline_id=self._baseline_id, start=find_start(begun))
+        if track.start is not None:
+            changes = begin_from(changes, track.start)
+            expected = expected - np.nanmedian(changes[:, 0], axis=0)
+        history = np.array([to_logs(one.values) for one in baseline])
+        self._model = WallModel(
+            hypotheses=posterior.compare(calibrate(bank, history, expected), changes),
+            initial_m=bank.thickness_m,
+            minimum_m=self.minimum_m,
+        )
+        return track

@@ -1,0 +1,178 @@
+"""Wall thickness set after set: steps, renewed baselines, unused sets. The bank is the shipped one."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from analysis.statistics.rules import AlarmRule
+from analysis.wall import posterior
+from analysis.wall.bank import FEATURES, load_bank
+from analysis.wall.estimator import WallEstimator
+from analysis.wall.thickness import STEP_H, Pool
+from daq_service.assessment.wall_bank import SHIPPED_BANK
+
+SD = np.array([0.006, 0.03, 0.017, 0.008, 0.05])
+EVERY_H = 4.0
+
+
+@dataclass(frozen=True)
+class SetValues:
+    due_h: float
+    values: dict[str, float | None]
+
+
+@pytest.fixture(scope="module")
+def opened():
+    bank = load_bank(SHIPPED_BANK)
+    fields = ("changes", "models", "kinds", "sizes_m", "names")
+    bank = replace(bank, **{name: getattr(bank, name)[:6] for name in fields})
+    return bank, posterior.predict_changes(bank)
+
+
+def draw_sets(bank, losses, first_h, seed=3):
+    """Return sets each `EVERY_H` h of a sensor on the wall of the bank's first curve, with these losses."""
+    noise = SD * np.random.default_rng(seed).standard_normal((len(losses), len(FEATURES)))
+    of_wall = [np.interp(losses, bank.losses, part) for part in bank.changes[0].T]
+    values = np.exp(bank.sound + noise + np.transpose(of_wall))
+    return [
+        SetValues(first_h + EVERY_H * k, dict(zip(FEATURES, row.tolist(), strict=True)))
+        for k, row in enumerate(values)
+    ]
+
+
+def make_estimator(opened, baseline_id=1, is_first=True, minimum_m=5e-3):
+    return WallEstimator(
+        lambda: opened, AlarmRule(k=3, n=5), minimum_m, baseline_id=baseline_id, is_first=is_first
+    )
+
+
+def follow(estimator, baseline, sets, track=None):
+    found = []
+    for one in sets:
+        track, thickness = estimator.add_set(track, baseline, one)
+        found.append(thickness)
+    return track, found
+
+
+def cover(found, truth_m):
+    """Return the part of the intervals that cover the truth."""
+    pairs = zip(found, truth_m, strict=True)
+    return np.mean([one.interval_low_m <= truth <= one.interval_high_m for one, truth in pairs])
+
+
+def test_a_thinning_wall_is_followed_and_its_alarm_raised_below_the_minimum(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    losses = np.minimum(0.4, np.arange(60) / 100.0)
+    track, found = follow(make_estimator(opened), baseline, draw_sets(opened[0], losses, 120.0, seed=4))
+    truth_m = opened[0].thickness_m * (1.0 - losses)
+    within = [
+        one.interval_low_m <= truth <= one.interval_high_m for one, truth in zip(found, truth_m, strict=True)
+    ]
+    assert np.mean(within) > 0.85
+    assert {one.quality for one in found} == {"good"}
+    assert track.alarm.active
+    assert found[0].below_minimum_probability < 0.01 < 0.95 < found[-1].below_minimum_probability
+    assert found[-1].time_to_minimum_s == 0.0
+
+
+def test_the_state_is_stored_after_a_step_and_a_restart_gives_the_same_digits(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    sets = draw_sets(opened[0], np.linspace(0.0, 0.2, 20), 120.0, seed=5)
+    estimator = make_estimator(opened)
+    track, found = follow(estimator, baseline, sets[:1])
+    pools, packed, again = [], [track.packed], []
+    for one in sets[1:]:
+        restarted = make_estimator(opened)
+        again.append(restarted.add_set(track, baseline, one)[1])
+        track, thickness = estimator.add_set(track, baseline, one)
+        found.append(thickness)
+        pools.append(track.pool.n)
+        packed.append(track.packed)
+    assert again == found[1:]
+    sets_a_step = round(STEP_H / EVERY_H)
+    assert max(pools) == sets_a_step - 1
+    steps = sum(one is not other for one, other in pairwise(packed))
+    assert abs(steps - len(sets) / sets_a_step) <= 1
+
+
+def test_a_set_of_another_fault_only_widens_the_interval_and_is_suspect(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    sets = draw_sets(opened[0], np.full(12, 0.1), 120.0, seed=6)
+    estimator = make_estimator(opened)
+    track, found = follow(estimator, baseline, sets)
+    later = replace(sets[-1], due_h=sets[-1].due_h + 200.0)
+    reseated = replace(later, values={**later.values, "amplitude_ratio": 0.2})
+    after, thickness = estimator.add_set(track, baseline, reseated, "coupling")
+    assert thickness.quality == "suspect"
+    assert thickness.reason == "diagnosed as a change of the coupling: not used"
+    assert thickness.interval_low_m < found[-1].interval_low_m
+    assert after.pool == Pool()
+    _, unexplained = estimator.add_set(track, baseline, reseated)
+    assert unexplained.quality == "bad"
+    assert unexplained.thickness_m is None
+    assert "not explained by any wall" in unexplained.reason
+
+
+def test_a_missing_feature_gives_no_thickness_and_changes_nothing(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    sets = draw_sets(opened[0], np.zeros(2), 120.0, seed=7)
+    estimator = make_estimator(opened)
+    track, _ = follow(estimator, baseline, sets[:1])
+    lacking = replace(sets[1], values={**sets[1].values, "amplitude_ratio": None})
+    after, thickness = estimator.add_set(track, baseline, lacking)
+    assert thickness.reason == "no value of amplitude_ratio"
+    assert (after.packed is track.packed, after.pool) == (True, track.pool)
+
+
+def test_a_renewed_baseline_keeps_the_loss_reached_so_far(opened):
+    """The new baseline's sets show no change: without the earlier loss the wall would be sound again."""
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    thinning = draw_sets(opened[0], np.minimum(0.3, np.arange(50) / 100.0), 120.0, seed=8)
+    track, found = follow(make_estimator(opened), baseline, thinning)
+    renewed = draw_sets(opened[0], np.full(30, 0.3), 330.0, seed=9)
+    later = draw_sets(opened[0], np.linspace(0.3, 0.45, 40), 450.0, seed=10)
+    track, after = follow(make_estimator(opened, baseline_id=5, is_first=False), renewed, later, track)
+    assert track.baseline_id == 5
+    truth_m = opened[0].thickness_m * (1.0 - np.linspace(0.3, 0.45, 40))
+    assert abs(after[0].thickness_m - found[-1].thickness_m) < 0.5e-3
+    within = [
+        one.interval_low_m <= truth <= one.interval_high_m for one, truth in zip(after, truth_m, strict=True)
+    ]
+    assert np.mean(within) > 0.85
+
+
+@pytest.mark.parametrize(
+    ("is_first", "factor", "reason"),
+    [
+        (False, 1.0, "the loss at the renewed baseline is not known"),
+        (True, 1e6, "tof_pp_s of the baseline is 9.9"),
+    ],
+    ids=["renewed without a track", "microseconds"],
+)
+def test_a_baseline_that_cannot_be_used_is_refused_with_each_set(opened, is_first, factor, reason):
+    baseline = [
+        replace(one, values={**one.values, FEATURES[0]: factor * one.values[FEATURES[0]]})
+        for one in draw_sets(opened[0], np.zeros(30), 0.0)
+    ]
+    sets = draw_sets(opened[0], np.zeros(2), 120.0)
+    track, found = follow(make_estimator(opened, is_first=is_first), baseline, sets)
+    assert track is None
+    assert all(one.quality == "bad" and one.thickness_m is None for one in found)
+    assert all(one.reason.startswith(reason) for one in found), found[0].reason
+
+
+def test_without_a_bank_there_is_no_row_until_it_is_built(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    sets = draw_sets(opened[0], np.zeros(3), 120.0)
+    built = []
+    estimator = WallEstimator(
+        lambda: built[0] if built else None, AlarmRule(), None, baseline_id=1, is_first=True
+    )
+    assert estimator.add_set(None, baseline, sets[0]) == (None, None)
+    built.append(opened)
+    track, thickness = estimator.add_set(None, baseline, sets[1])
+    assert track is not None
+    assert thickness.quality == "good"
+    assert thickness.below_minimum_probability is None
