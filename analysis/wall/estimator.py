@@ -77,7 +77,7 @@ class WallEstimator:
     def add_set(
         self, track: WallTrack | None, baseline: Sequence[Features], features: Features, other_cause: str = ""
     ) -> tuple[WallTrack | None, WallThickness | None]:
-        """Return the track after a set behind the baseline, and the wall thickness; None without a bank.
+        """Return the track after a set behind the baseline, and the wall thickness, if there is one.
 
         Parameters
         ----------

@@ -16,8 +16,8 @@ from analysis.wall.bank import FEATURES
 from analysis.waves.record_reduction import FloatArray
 
 STEP_H = 8.0
-"""The filter goes on in steps of at least so many hours, by the mean of their sets: what a single set adds to
-a stored probability would be lost in its rounding."""
+"""The filter goes on in steps of at least so many hours, by the mean of their sets: what one of many sets
+adds to a stored probability would be lost in its rounding, at a high cost of CPU."""
 S_PER_H = 3600.0
 ALARM_PROBABILITY = 0.95
 """Probability of a wall below its minimum at which a set counts for the alarm."""
@@ -156,10 +156,11 @@ def estimate_thickness(
     hour: float,
     *,
     unused: str = "",
-) -> tuple[posterior.WallState, Pool, WallThickness]:
+) -> tuple[posterior.WallState, Pool, WallThickness | None]:
     """Return state and pool after a set with these ln features, and the wall thickness.
 
-    The state returned is the given one until a step is complete; then it has the digits of a stored one.
+    There is one where a step is complete (`STEP_H`), and one of quality ``bad`` where a set cannot be used;
+    else None. The state has the digits of a stored one.
 
     Parameters
     ----------
@@ -180,15 +181,14 @@ def estimate_thickness(
     if refused:
         return state, pool, WallThickness(quality="bad", reason=refused)
     pool = pool if unused else pool.add(logs, hour)
-    after = state
-    if pool.n:
-        after = posterior.add_set(state, model.hypotheses, np.array(pool.mean), pool.hour)
-    if after.hour < hour:
-        after = posterior.wait(after, hour)
-    found = describe_state(after, model, unused)
     if hour - state.hour < STEP_H:
-        return state, pool, found
-    return posterior.unpack_state(posterior.pack_state(after)), Pool(), found
+        return state, pool, None
+    if pool.n:
+        state = posterior.add_set(state, model.hypotheses, np.array(pool.mean), pool.hour)
+    if state.hour < hour:
+        state = posterior.wait(state, hour)
+    state = posterior.unpack_state(posterior.pack_state(state))
+    return state, Pool(), describe_state(state, model, unused)
 
 
 def describe_state(state: posterior.WallState, model: WallModel, unused: str = "") -> WallThickness:
@@ -212,7 +212,7 @@ def describe_state(state: posterior.WallState, model: WallModel, unused: str = "
     )
 
 
-def update_alarm(alarm: AlarmState, found: WallThickness, rule: AlarmRule) -> AlarmState:
+def update_alarm(alarm: AlarmState, found: WallThickness | None, rule: AlarmRule) -> AlarmState:
     """Update the k-of-n state of the thickness alarm; a set without a probability counts as unknown."""
-    below = found.below_minimum_probability
+    below = None if found is None else found.below_minimum_probability
     return update_alarm_state(alarm, None if below is None else below > ALARM_PROBABILITY, rule)

@@ -26,7 +26,9 @@ from scipy.interpolate import CubicSpline
 from analysis.errors import InvalidInputError
 from analysis.wall.bank import ESTIMAND_RADIUS_M, FEATURES, Bank, load_bank, save_bank
 from analysis.waves.features import EXTRACTOR_VERSION, extract_from_volts
-from analysis.waves.record_reduction import FloatArray
+from analysis.waves.record_reduction import ExtractionSettings, FloatArray
+from analysis.waves.transducer import settings_of_chain
+from daq_service.acquisition.shot_features import describe_chain
 from daq_service.processes.installation import require_extras
 from daq_service.shared_file import write_best_effort
 from simulator.chain.spheres import Contacts
@@ -82,8 +84,13 @@ class NoiseFreeRecorder:
     """Sensor, digitizer and extractor, without noise and quantization; a voltage is in N without tilt."""
 
     adc: AdcParameters = field(default_factory=AdcParameters)
+    extraction: ExtractionSettings = field(default_factory=ExtractionSettings)
     tilt_loss_per_rad: float = SensorParameters().tilt_loss_per_rad
     names: tuple[str, ...] = FEATURES
+
+    def for_chain(self, chain: ChainParameters) -> NoiseFreeRecorder:
+        """Return the recorder with the extraction of a chain."""
+        return replace(self, extraction=settings_of_chain(describe_chain(chain)))
 
     def log_features(self, force: ShotForce, tilt_rad: float = MEAN_TILT_RAD) -> FloatArray:
         """Return the logarithms of the named features of a shot; NaN without a reflected wave."""
@@ -94,7 +101,11 @@ class NoiseFreeRecorder:
         logs = []
         for phase in np.arange(PHASES) / PHASES - 1.0:
             sampled_s = (phase + np.arange(-before, self.adc.record_samples)) / rate_hz
-            shot = extract_from_volts(np.interp(sampled_s, grid_s, signal_v, left=0.0), rate_hz, before)
+            volts = np.interp(sampled_s, grid_s, signal_v, left=0.0)
+            # Where the chain has let go of the sensor, equal samples would look like lost ones.
+            equal = np.flatnonzero(np.diff(volts[before:]) == 0.0) + before
+            volts[equal] *= 1.0 + 1e-9 * (equal % 2)
+            shot = extract_from_volts(volts, rate_hz, before, settings=self.extraction)
             # Flags do not count: next to no noise at all, every ripple looks like a disturbance.
             logs.append([math.log(getattr(shot, name)) for name in self.names])
         return np.asarray(np.mean(logs, axis=0))
@@ -326,7 +337,7 @@ def build_bank(
     require_extras("twin")
     from simulator.shot.model import Impact, ShotModel
 
-    members = list_members(plate) if members is None else members
+    members, recorder = list_members(plate) if members is None else members, recorder.for_chain(chain)
     nominal = replace(plate, model="mindlin", contact="node", liquid=None)
     slopes = compute_source_slopes(chain, nominal, recorder)
     sound = recorder.log_features(

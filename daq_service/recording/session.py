@@ -21,8 +21,10 @@ from daq_service.assessment.results_in_file import read_newest_results
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
+from daq_service.background.task import BackgroundTask
 from daq_service.background.tiles import TileMaker, add_record_to_tiles
 from daq_service.background.verification import IdleVerification
+from daq_service.background.wall_curves import WallCurves
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import ensure_experiment_file, write_experiment_file
@@ -54,6 +56,7 @@ from daq_service.settings.instruments import list_instruments
 from daq_service.settings.tree import ClockSettings, Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import SetKey
+from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H
 from simulator.clock import SimulatedClock
 
@@ -210,12 +213,21 @@ def _add_background_tasks(
             history,
             TileMaker(folder, experiment, finalizer, files, results, has_room=has_room),
             bare.live,
+            *_build_wall_curves(bare),
         ),
         computer_load=ComputerLoadWatch(
             bare.rig.clock, space=lambda: disk.space, files_read=lambda: verification.files_read
         ),
         web=WebWatch(folder),
     )
+
+
+def _build_wall_curves(bare: Resources) -> list[BackgroundTask]:
+    """Return the task that simulates missing wall curves; none for a rehearsal or in simulated time."""
+    places = [bare.settings.positions[name] for name in bare.settings.list_positions(SOLITARY_WAVE)]
+    if bare.rig.dry_run or bare.settings.clock.kind != "wall":
+        return []
+    return [WallCurves([(place.chain, place.plate) for place in places])]
 
 
 def _store_rebuilt_event(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:

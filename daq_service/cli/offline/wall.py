@@ -136,7 +136,8 @@ def _estimate_rows(
     model, pool = WallModel(hypotheses=hypotheses, initial_m=bank.thickness_m, minimum_m=minimum_m), Pool()
     for hour, row in zip(hours[~is_baseline].tolist(), logs[~is_baseline], strict=True):
         state, pool, found = estimate_thickness(model, state, pool, row, hour)
-        yield hour, found
+        if found is not None:
+            yield hour, found
 
 
 def _describe(one: Wall, initial_m: float) -> list[str]:

@@ -257,3 +257,16 @@ def test_a_record_that_ends_before_the_reflected_wave_is_refused():
     brief = replace(RECORDER, adc=replace(RECORDER.adc, record_samples=5_000))
     with pytest.raises(InvalidInputError, match="record longer"):
         build_bank(CHAIN, PLATE, brief)
+
+
+def test_a_chain_that_lets_go_of_the_sensor_has_features(monkeypatch):
+    """The end of its record is constant, which in a measured record means lost samples."""
+    time_s = np.arange(0.0, 1.5e-3, 1e-7)
+    pulses = sum(
+        height * np.where(abs(time_s - at_s) < 44.5e-6, np.cos(np.pi * (time_s - at_s) / 89e-6) ** 4, 0.0)
+        for at_s, height in ((1e-4, 30.0), (2.7e-4, 18.0))
+    )
+    chain = replace(CHAIN, radius_m=0.5 * CHAIN.radius_m, mass_kg=CHAIN.mass_kg / 8.0)
+    shot = SimpleNamespace(time_s=time_s, force_n=pulses + 0.12 * (time_s < 1e-3), preload_n=0.12)
+    assert np.isfinite(RECORDER.for_chain(chain).log_features(shot)).all()
+    assert not np.isfinite(RECORDER.log_features(shot)).all(), "its windows are those of another wave"
