@@ -82,7 +82,6 @@ class Filters(TypedDict, total=False):
 
     position: str | None
     set_index: int | None
-    among_sets: Collection[int] | None
     unscheduled_index: int | None
     state: str | None
     priority: str | None
@@ -109,7 +108,6 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
     "active": lambda table, active: table.c.state.in_(ACTIVE_STATES) if active else table.c.state == "normal",
-    "among_sets": lambda table, indices: table.c.set_index.in_(sorted(indices)),
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: (

@@ -26,7 +26,7 @@ export const FIELDS = {
     "interval_low_m",
     "interval_high_m",
   ],
-  pulse_echo: ["thickness_m", "interval_low_m", "interval_high_m", "travel_time_s"],
+  pulse_echo: ["thickness_m", "travel_time_s"],
 };
 const FITTED = /** @type {Record<string, string[]>} */ ({
   solitary_wave: ["tof_pp_s", "amplitude_ratio"],

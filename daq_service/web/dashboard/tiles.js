@@ -59,14 +59,24 @@ function list(values) {
 }
 
 /**
- * Return the wall thickness from the waves with its 90 % interval, or why there is none.
+ * Return the wall thickness from the waves with its 90 % interval, or why there is none, and whether it is below its
+ * minimum or when it will be.
  *
  * @param {any} row of `/wall`
+ * @returns {[string, string][]}
  */
-function wallText({ thickness_m: wall, interval_low_m: low, interval_high_m: high, quality, reason }) {
-  if (wall === null) return reason ?? NONE;
-  const interval = `${fixed(1e3 * low, 2)} to ${fixed(1e3 * high, 2)}, 90 %`;
-  return `${quantity(wall, 1e3, 2, "mm")} (${interval}${quality === "good" ? "" : `; ${quality}`})`;
+function wallValues(row) {
+  const interval = `${fixed(1e3 * row.interval_low_m, 2)} to ${fixed(1e3 * row.interval_high_m, 2)}, 90 %`;
+  const doubt = row.quality === "good" ? "" : `; ${row.quality}`;
+  const wall = `${quantity(row.thickness_m, 1e3, 2, "mm")} (${interval}${doubt})`;
+  /** @type {[string, string][]} */
+  const values = [["Wall", row.thickness_m === null ? row.reason : wall]];
+  const { below_minimum_probability: below, time_to_minimum_s: left } = row;
+  if (below !== null) {
+    const later = left ? `, at this rate in ${quantity(left, 1 / 86400, 0, "d")}` : "";
+    values.push([`Below ${quantity(row.minimum_m, 1e3, 2, "mm")}`, probabilityText(below) + later]);
+  }
+  return values;
 }
 
 export class Tiles {
@@ -286,7 +296,7 @@ export class Tiles {
       ["Quality", feature?.quality ?? NONE],
     ];
     if (assessment?.diagnosis) values.unshift(["Diagnosis", diagnosisText(assessment)]);
-    if (state.last_wall) values.unshift(["Wall", wallText(state.last_wall)]);
+    if (state.last_wall) values.unshift(...wallValues(state.last_wall));
     return this.body(state, figure, note, values);
   }
 

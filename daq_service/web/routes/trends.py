@@ -103,7 +103,7 @@ def get_trend(
     Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets. Its columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
     range has smaller bins, at last single sets. Standard errors are given by name only, for single sets;
-    so is the wall thickness of a transducer, of a bin that of its first set.
+    so is the wall thickness of a transducer, of a bin its last one.
     Once the test has ended, the answer has an ETag. An unknown position: 404; an unknown column: 422.
     """
     method = context.settings.positions[context.validate_position(position)].method
@@ -132,11 +132,8 @@ def get_trend(
     else:
         bin_sets, bins = binned
         columns, bins_json = build_bin_columns(kind, bins, chosen), build_published_bins(kind, bins, chosen)
-    if method == SOLITARY_WAVE and (names := [name for name in TREND_WALL if name in chosen]):
-        stored = context.catalogue().rows(WallRow, position=position, among_sets=columns["set_index"])
-        wall_of = {row.set_index: row for row in stored}
-        for name in names:
-            columns[name] = [getattr(wall_of.get(index), name, None) for index in columns["set_index"]]
+    if names := [name for name in TREND_WALL if name in chosen and method == SOLITARY_WAVE]:
+        columns |= read_wall_columns(context, position, names, columns["set_index"], from_h, last_h)
     columns["due_utc"] = format_hours_as_rfc3339(fresh.epoch_utc_ns, columns["due_h"])
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
@@ -151,6 +148,30 @@ def get_trend(
         },
         headers=headers,
     )
+
+
+def read_wall_columns(
+    context: Context,
+    position: str,
+    names: Sequence[str],
+    first_sets: Sequence[int],
+    from_h: float | None,
+    last_h: float | None,
+) -> Columns:
+    """Read the wall thickness of a transducer, one entry per set or bin (``first_sets``), None without one.
+
+    Of a bin it is the last one. Raises StorageError if the catalogue cannot be read.
+    """
+    found = context.catalogue().columns(
+        WallRow, ["set_index", *names], position=position, first_h=from_h, last_h=last_h
+    )
+    entries = np.searchsorted(first_sets, found["set_index"], side="right") - 1
+    columns: Columns = {}
+    for name in names:
+        columns[name] = [None] * len(first_sets)
+        for entry, value in zip(entries.tolist(), found[name], strict=True):
+            columns[name][entry] = value
+    return columns
 
 
 def estimate_entry_bytes(fields: Sequence[str]) -> tuple[int, int]:

@@ -212,7 +212,7 @@ export class Board {
         onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       const errors = columns[k][`standard_error_${field}`];
-      const { interval_low_m: lower, interval_high_m: upper } = field === "thickness_m" ? columns[k] : {};
+      const { interval_low_m: lower, interval_high_m: upper } = field === "thickness_m" ? columns[k] : {}; // of waves
       const shifted = (/** @type {number} */ times) =>
         inUnit(
           columns[k][field].map((/** @type {number | null} */ value, /** @type {number} */ row) =>
@@ -314,9 +314,9 @@ export class Board {
         dash: [7, 4],
         y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
       });
-    const [{ step, low }] = lines;
-    const error = field === "thickness_m" ? "bars: interval, 95 % of probes, 90 % of waves" : "bars: ± standard error";
-    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : low ? error : "";
+    const [{ step }] = lines;
+    const error = field === "thickness_m" ? "bars: 90 % interval of waves" : "bars: ± standard error";
+    const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : lines.some((line) => line.low) ? error : "";
     const remark = relative
       ? "relative to each position's own baseline" +
         (this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : "")

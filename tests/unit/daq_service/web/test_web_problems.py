@@ -88,7 +88,7 @@ def test_order_with_an_unknown_parameter_is_not_written(api, filled):
 @pytest.mark.parametrize(
     "query",
     [
-        "trends/B?fields=thickness_m",
+        "trends/B?fields=travel_time_s",
         "trends/A?fields=tof_pp_s",
         "trends/B?fields=,",
         "fits/B?field=tof_pp_s,tof_mf_s",
