@@ -127,11 +127,11 @@ class WallEstimator:
         if track is None and not self._is_first:
             raise InvalidInputError("the loss at the renewed baseline is not known: measure the wall")
         if track is None:
-            begun = posterior.begin(len(changes), hour)
-            track = WallTrack(packed=pack(begun), baseline_id=self._baseline_id)
+            state = posterior.begin(len(changes), hour)
+            track = WallTrack(packed=pack(state), baseline_id=self._baseline_id)
         elif track.baseline_id != self._baseline_id:
-            begun = posterior.wait(track.unpack(), hour)
-            track = WallTrack(packed=pack(begun), baseline_id=self._baseline_id, start=find_start(begun))
+            state = posterior.wait(track.unpack(), hour)
+            track = WallTrack(packed=pack(state), baseline_id=self._baseline_id, start=find_start(state))
         if track.start is not None:
             changes = begin_from(changes, track.start)
             expected = expected - np.nanmedian(changes[:, 0], axis=0)

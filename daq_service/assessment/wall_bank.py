@@ -33,7 +33,6 @@ from daq_service.processes.installation import require_extras
 from daq_service.shared_file import write_best_effort
 from simulator.chain.spheres import Contacts
 from simulator.errors import SimulatorError, SpecimenError
-from simulator.experiment.corrosion import make_patch
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, SensorParameters
 from simulator.parameters.environmental_variability import STEEL_MODULUS_CHANGE_PER_K
@@ -209,6 +208,8 @@ def _yield_members(plate: PlateParameters) -> Iterator[Member]:
 
 def _divide_into_pits(patch: CorrosionParameters, per_edge: int) -> CorrosionParameters:
     """Return a square patch as a mosaic of pits, the deepest one below the chain."""
+    from simulator.experiment.corrosion import make_patch
+
     pitted = ThinningParameters(pits_per_edge=per_edge)  # type: ignore[arg-type] # 3 or 5
     name = f"{patch.size_m} m, {per_edge}"  # it determines the depths of the pits
     return make_patch(TwinParameters(thinning={name: pitted}), name, patch)

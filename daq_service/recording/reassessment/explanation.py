@@ -28,6 +28,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
+    WallRow,
 )
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import require_data_folder
@@ -83,7 +84,7 @@ class Recomputed:
     differences: Sequence[Difference]
     baseline: BaselineRow | None
     assessments: Sequence[AssessmentRow]
-    measured: Sequence[FeatureRow | ThicknessRow]
+    measured: Sequence[FeatureRow | ThicknessRow | WallRow]
     sets: Sequence[SetRow]
     silent: Mapping[int, int]
     pulses: Pulses | None
@@ -216,7 +217,7 @@ def _recompute_alarm(
             differences=found,
             baseline=baseline,
             assessments=again.rows(AssessmentRow, position=position),
-            measured=_read_set_results(again, method, position),
+            measured=_read_set_results(again, method, position, alarm.kind),
             sets=again.rows(SetRow, position=position),
             silent=_count_silent_shots(shots),
             pulses=pulses,
@@ -300,9 +301,14 @@ _SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(
 
 
 def _read_set_results(
-    catalogue: Catalogue, method: MeasuringMethod, position: str
-) -> Sequence[FeatureRow | ThicknessRow]:
-    """Read the results of all scheduled sets of a position in order, without those of single shots."""
+    catalogue: Catalogue, method: MeasuringMethod, position: str, alarm_kind: str
+) -> Sequence[FeatureRow | ThicknessRow | WallRow]:
+    """Read the results of all scheduled sets of a position in order, without those of single shots.
+
+    For an alarm of a transducer's wall thickness, that is this thickness.
+    """
+    if alarm_kind == "thickness_low" and method.row is FeatureRow:
+        return catalogue.rows(WallRow, position=position)
     of_place: Filters = {**method.of_sets, "position": position}
     return catalogue.rows(method.row, **of_place)
 

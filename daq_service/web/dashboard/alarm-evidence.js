@@ -249,7 +249,13 @@ export class AlarmEvidence {
       alarms: [alarm.raised_h],
       opened: null,
       subtitle,
-      exported: kind.source ? { ...kind.source, positions: [alarm.position] } : null,
+      exported: kind.source
+        ? {
+            ...kind.source,
+            ...("below_minimum_probability" in alarm.evidence ? { method: "solitary_wave" } : {}),
+            positions: [alarm.position],
+          }
+        : null,
     });
     this.sets.replaceChildren(
       ...evaluated.map((one) => {

@@ -34,7 +34,9 @@ const tableOf = (field, method) =>
     ? "thickness"
     : ["distance_squared", "mewma_statistic"].includes(field)
       ? "assessments"
-      : "features";
+      : field === "thickness_m"
+        ? "wall"
+        : "features";
 
 /** Return a text or number as a Python literal. @param {string | number} value */
 const literal = (value) => JSON.stringify(value);
@@ -52,16 +54,17 @@ const query = (args) =>
 /**
  * Offer the data of a chart: each set of these hours, also where the chart shows bins.
  *
- * @param {{fields: string[], method: string, positions: string[]}} taken
+ * @param {{fields: string[], method: string, methods?: Record<string, string>, positions: string[]}} taken `methods` of
+ *   positions with another one
  * @param {[number, number] | null} span null: the complete test
  * @returns {Offer}
  */
-export function chartOffer({ fields, method, positions }, span) {
-  const table = tableOf(fields[0], method);
+export function chartOffer({ fields, method, methods, positions }, span) {
+  const tables = positions.map((position) => tableOf(fields[0], methods?.[position] ?? method));
   const range = hoursOf(span);
-  const files = positions.map((position) => ({
+  const files = positions.map((position, k) => ({
     title: `Position ${position}`,
-    path: `/tables/${table}?${query({ position, ...range, fields: fields.join(",") })}`,
+    path: `/tables/${tables[k]}?${query({ position, ...range, fields: fields.join(",") })}`,
   }));
   const args = ["position", ...keywords(range)].join(", ");
   const columns = ["due_h", ...fields, "quality"].map(literal).join(", ");
@@ -70,8 +73,8 @@ export function chartOffer({ fields, method, positions }, span) {
     files,
     python: [
       "data = {",
-      `    position: test.${table}(${args})[[${columns}]]`,
-      `    for position in [${positions.map(literal).join(", ")}]`,
+      `    position: read(${args})[[${columns}]]`,
+      `    for position, read in {${positions.map((one, k) => `${literal(one)}: test.${tables[k]}`).join(", ")}}.items()`,
       "}",
     ],
   };
@@ -89,6 +92,7 @@ export function testOffer(span) {
     assessments: "Assessments",
     features: "Features",
     thickness: "Thickness",
+    wall: "Wall thickness by waves",
     sets: "Sets",
     baselines: "Baselines",
     alarms: "Alarms",

@@ -32,6 +32,7 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
+    WallRow,
 )
 from daq_service.catalogue.standard_errors import read_error_columns
 from daq_service.commands.audit import AuditEntry, read_audit_log
@@ -54,6 +55,10 @@ OF_WAVES = ("set_index", "due_h", "tof_pp_s", "amplitude_ratio", "quality")
 OF_ASSESSMENTS = (
     *("due_h", "distance_squared", "limit_f_predictive", "limit_mean_3sd", "limit_name", "limits"),
     *("mewma_statistic", "diagnosis_details", "outlier", "in_baseline"),
+)
+OF_WALL = (
+    *("due_h", "thickness_m", "interval_low_m", "interval_high_m", "quality"),
+    *("minimum_m", "below_minimum_probability", "time_to_minimum_s"),
 )
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "interval_low_m", "interval_high_m", "quality")
 
@@ -80,8 +85,8 @@ class PositionReport:
     ----------
     values
         Features of the sets' means with their standard errors, or thickness.
-    assessments
-        None for pulse echo.
+    assessments, wall
+        Assessments and wall thickness of a transducer; None for pulse echo.
     """
 
     name: str
@@ -95,6 +100,7 @@ class PositionReport:
     limit: float | None
     values: Columns
     assessments: Columns | None
+    wall: Columns | None
     states: Mapping[str, int]
 
 
@@ -248,12 +254,13 @@ def _build_position_report(
     set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
     assessment_filters: Filters = {**set_filters, "scope": None}
     values = catalogue.columns(kind, columns, **set_filters)
-    states, assessments = [row.state for row in sets], None
+    states, assessments, wall = [row.state for row in sets], None, None
     if not is_probe:
         from analysis.statistics.named_limits import MEWMA  # with SciPy, which is slow to import
 
         values |= read_error_columns(catalogue, OF_WAVES[2:4], values["set_index"], **set_filters)
         assessments = catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **assessment_filters)
+        wall = catalogue.columns(WallRow, OF_WALL, **assessment_filters)
         assessments["mewma_limit"] = [(row or {}).get(MEWMA) for row in assessments["limits"]]
     return PositionReport(
         name=name,
@@ -267,6 +274,7 @@ def _build_position_report(
         limit=find_limit(last, settings.find_wall_limit_m(name)),
         values=values,
         assessments=assessments,
+        wall=wall,
         states={state: states.count(state) for state in dict.fromkeys(states)},
     )
 

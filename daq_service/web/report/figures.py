@@ -38,10 +38,10 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 def draw_position_figure(contents: Contents, position: PositionReport) -> str:
     """Draw the trend of a position over the hours of the test as SVG element; empty without values.
 
-    A transducer has three panels, a probe one; equal contents give equal bytes.
+    A transducer has three panels, with a wall thickness four, a probe one. Equal contents, equal bytes.
     """
     values, assessments = position.values, position.assessments
-    panels = [partial(_draw_thickness, position)]
+    panels = [partial(_draw_thickness, values, position.limit, "95 % interval")]
     if assessments is not None:
         points = partial(partial, _draw_points, values)
         panels = [
@@ -49,6 +49,9 @@ def draw_position_figure(contents: Contents, position: PositionReport) -> str:
             points("amplitude_ratio", 1.0, "amplitude ratio"),
             partial(_draw_distance, assessments),
         ]
+    if (wall := position.wall) is not None and any(wall["thickness_m"]):
+        limit_m = next((one for one in wall["minimum_m"] if one is not None), None)
+        panels.append(partial(_draw_thickness, wall, limit_m, "90 % interval"))
     size_in = (WIDTH_IN, 0.35 + PANEL_IN * len(panels))
     return _draw_panels(contents, position, panels, size_in, f"figure-{position.name}")
 
@@ -60,7 +63,7 @@ def draw_summary_figure(contents: Contents, position: PositionReport) -> str:
     """
     assessments, by_chart = position.assessments, contents.settings.alarms.decides_by == "chart"
     if assessments is None:
-        panel = partial(_draw_thickness, position)
+        panel = partial(_draw_thickness, position.values, position.limit, "95 % interval")
     else:
         draw = _draw_chart if by_chart and any(assessments["mewma_statistic"]) else _draw_distance
         panel = partial(draw, assessments)
@@ -129,14 +132,13 @@ def _finish_statistic_axis(axis: Axes, values: Sequence[float | None], label: st
     axis.legend(**ABOVE)
 
 
-def _draw_thickness(position: PositionReport, axis: Axes) -> None:
-    """Draw the wall thickness (mm) of a probe's sets with the 95 % interval of each and the alarm limit."""
-    values = position.values
+def _draw_thickness(values: Columns, limit_m: float | None, interval: str, axis: Axes) -> None:
+    """Draw the wall thickness (mm) of sets with the interval of each, labeled, and the alarm limit."""
     low_mm, high_mm = (1e3 * np.array(values[f"interval_{end}_m"], dtype=float) for end in ("low", "high"))
-    axis.fill_between(values["due_h"], low_mm, high_mm, color=GREY, alpha=0.25, lw=0.0, label="95 % interval")
+    axis.fill_between(values["due_h"], low_mm, high_mm, color=GREY, alpha=0.25, lw=0.0, label=interval)
     _draw_points(values, "thickness_m", 1e3, "wall (mm)", axis)
-    if position.limit is not None:
-        axis.axhline(1e3 * position.limit, color=VERMILLION, label="limit")
+    if limit_m is not None:
+        axis.axhline(1e3 * limit_m, color=VERMILLION, label="limit")
     axis.legend(**ABOVE)
 
 

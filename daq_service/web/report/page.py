@@ -10,7 +10,7 @@ from typing import NamedTuple, get_args
 
 from analysis.statistics.chart import ENOUGH_SETS
 from daq_service.alarms.evidence import build_evidence_sentences
-from daq_service.alarms.states import PRIORITIES, describe_alarm, format_number
+from daq_service.alarms.states import PRIORITIES, describe_alarm, format_number, format_probability
 from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.settings.stored import remove_private_keys
@@ -105,6 +105,21 @@ def _list_newest(position: PositionReport, alarms: AlarmSettings) -> Iterator[Me
             wall, limit_mm = (format_quantity(one, 1e3, 2, "mm") for one in (value, limit))
             texts = f"{wall} (95 % interval {' to '.join(ends)} mm)", limit_mm
         yield Measured(quantity, *texts, hour, qualities.get(hour, NOT_KNOWN))
+    yield from _list_newest_wall(position.wall or {})
+
+
+def _list_newest_wall(wall: Columns) -> Iterator[Measured]:
+    """Yield the newest wall thickness from waves, if any, with its probability to be below the minimum."""
+    if (at := _find_newest(wall.get("thickness_m", ()))) is None:
+        return
+    value, minimum = (format_quantity(wall[name][at], 1e3, 2, "mm") for name in ("thickness_m", "minimum_m"))
+    ends = (format_quantity(wall[f"interval_{end}_m"][at], 1e3) for end in ("low", "high"))
+    text = f"{value} (90 % interval {' to '.join(ends)} mm)"
+    if (below := wall["below_minimum_probability"][at]) is not None:
+        minimum += f", below with {format_probability(below)}"
+    if (left_s := wall["time_to_minimum_s"][at]) is not None:
+        minimum += f", at this rate in {left_s / 86400.0:.0f} d"
+    yield Measured("Wall thickness (waves)", text, minimum, wall["due_h"][at], wall["quality"][at])
 
 
 def _build_series_rows(position: PositionReport) -> Iterator[Row]:
@@ -116,6 +131,7 @@ def _build_series_rows(position: PositionReport) -> Iterator[Row]:
         yield _build_series_row("Time of flight", position.values, "tof_pp_s", 1e6, 1, "µs")
         yield _build_series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 3, "")
         yield _build_series_row("Squared distance", position.assessments, "distance_squared", 1.0, 1, "")
+        yield _build_series_row("Wall thickness", position.wall or {}, "thickness_m", 1e3, 2, "mm")
 
 
 def _build_series_row(

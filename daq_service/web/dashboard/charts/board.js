@@ -154,7 +154,7 @@ export class Board {
       this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
-    if (this.trend(measured[0]))
+    if (measured.length && this.trend(measured[0]))
       this.draw(this.charts.thickness, view, measured, "thickness_m", "thickness_mm", "thickness");
     const ofProbe = probe && view.feature in (this.loader.baseline(probe)?.units ?? {});
     const shown = ofProbe ? [probe, ...others("pulse_echo")] : waves;
@@ -263,6 +263,7 @@ export class Board {
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
     const of = {
       method: this.loader.positionInfo(position).method,
+      methods: Object.fromEntries(positions.map((one) => [one, this.loader.positionInfo(one)?.method])),
       positions: positions.filter((one) => !isOther(one)),
     };
     return {
