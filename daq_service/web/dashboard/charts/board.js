@@ -145,7 +145,9 @@ export class Board {
     const others = (/** @type {string} */ method) =>
       view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
     const waves = [charted, ...over, ...others("solitary_wave")];
-    const walls = waves.filter((position) => this.trend(position)?.columns.thickness_m?.some(Number.isFinite));
+    const hasWall = (/** @type {string} */ position) =>
+      !view.relative && this.trend(position)?.columns.thickness_m?.some(Number.isFinite); // no baseline has one
+    const walls = waves.filter(hasWall);
     const measured = [...(probe ? [probe, ...others("pulse_echo")] : []), ...walls];
     this.charts.thickness.hidden = !measured.length;
     if (this.loader.trends.has(charted)) {
