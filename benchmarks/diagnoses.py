@@ -75,7 +75,7 @@ DEPTH_AT_END = 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ModelSlopes:
-    """Slopes of a model: rows A and gamma of each contact, drop height, gain, tilt; shape (21, 7)."""
+    """Slopes of a model: rows A and gamma of each contact, drop height, gain, tilt; shape (21, features)."""
 
     of_place: FloatArray
     of_plate_modulus: FloatArray
@@ -83,25 +83,26 @@ class ModelSlopes:
 
 
 @lru_cache(maxsize=8)
-def model_slopes(name: str) -> ModelSlopes:
+def model_slopes(name: str, features: tuple[str, ...] = COMPONENTS) -> ModelSlopes:
     chain, plate = MODELS[name]
-    found = compute_source_slopes(chain, plate, RECORDER)
+    recorder = replace(RECORDER, names=features)
+    found = compute_source_slopes(chain, plate, recorder)
     n = chain.bodies
-    gain = np.array([float(part in ("psw_area_v_s", "isw_amplitude_v")) for part in COMPONENTS])
+    gain = np.array([float(part in ("psw_area_v_s", "isw_amplitude_v")) for part in features])
     # The seat gives the tilt apart from its loss of gain, `slopes` both together.
     rows = [found[f"stiffness_{k}"] for k in range(n)] + [found[f"damping_{k}"] for k in range(n)]
     rows += [found["drop_height"], gain, found["tilt_rad"]]
-    wall = np.vstack([np.zeros(len(COMPONENTS)), walls(chain, plate, PATCH_M)])
+    wall = np.vstack([np.zeros(len(features)), walls(chain, plate, PATCH_M, recorder)])
     return ModelSlopes(of_place=np.array(rows), of_plate_modulus=found["plate_modulus"], wall=wall)
 
 
-@lru_cache(maxsize=1)
-def electronic_sd() -> FloatArray:
+@lru_cache(maxsize=2)
+def electronic_sd(features: tuple[str, ...] = COMPONENTS) -> FloatArray:
     """Return the SD that record noise leaves in the logarithms of a set's means, from real records."""
     twin = {"scatter": {"scale": 0.0}, "drift": {"enabled": False}}
     settings = load_settings(None, overrides={"twin": twin, "schedule": {"end_h": 12.0}})
     rows = [one.position_result.features[-1] for one in simulate_assessed_sets(settings, "D")]
-    logs = [[math.log(getattr(row, part)) for part in COMPONENTS] for row in rows]
+    logs = [[math.log(getattr(row, part)) for part in features] for row in rows]
     return np.asarray(np.std(logs, axis=0, ddof=1))
 
 
@@ -160,9 +161,11 @@ def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
     return sd * random.standard_normal(2 * n + 3)
 
 
-def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return logarithms of each set and a confirmation set, shape (n, 7), and the wall's depth."""
-    chain, found, random = MODELS[model][0], model_slopes(model), np.random.default_rng(seed)
+def sets_of(
+    case: Case, level: str, model: str, seed: int, features: tuple[str, ...] = COMPONENTS
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return logarithms of each set and a confirmation set, shape (n, features), and the wall's depth."""
+    chain, found, random = MODELS[model][0], model_slopes(model, features), np.random.default_rng(seed)
     n, drift, scatter = chain.bodies, DriftParameters(), ScatterParameters()
     weather: Climate = draw_climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
     room, reseat = draw_room_temperature(drift, seed=seed), reseat_of(level, random, n)
@@ -192,7 +195,7 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
         of_shots = scatter.shot_drop_height_sd_fraction / math.sqrt(SHOTS)
         own[:, 2 * n] += of_shots * random.standard_normal(sets)
         own[:, 2 * n + 2] += scatter.set_tilt_sd_rad * random.uniform(-math.sqrt(3.0), math.sqrt(3.0), sets)
-        noise = electronic_sd() * random.standard_normal((sets, len(COMPONENTS)))
+        noise = electronic_sd(features) * random.standard_normal((sets, len(features)))
         struck.append(own @ found.of_place + fixed + noise)
     return struck[0], struck[1], depth
 
@@ -201,7 +204,20 @@ def diagnose_run(
     case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE
 ) -> dict[str, Any]:
     """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
-    logs, confirmation_logs, depths = sets_of(case, level, model, seed)
+    return diagnose_sets(case, level, model, seed, *sets_of(case, level, model, seed), baseline_sets)
+
+
+def diagnose_sets(
+    case: Case,
+    level: str,
+    model: str,
+    seed: int,
+    logs: FloatArray,
+    confirmation_logs: FloatArray,
+    depths: FloatArray,
+    baseline_sets: int = BASELINE,
+) -> dict[str, Any]:
+    """Diagnose the sets of a run, as `diagnose_run`."""
     design = compute_diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
@@ -209,9 +225,9 @@ def diagnose_run(
     distance = distance_squared(raw, baseline)
     beyond = distance > limit
     memory, state = DiagnosisState(), AlarmState()
-    calls: Counter[str] = Counter()
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
+    causes: list[str] = []
     for index in range(BASELINE, BASELINE + AFTER):
         memory = add_set(memory, design.mean, logs[index], index)
         state = update_alarm_state(state, bool(beyond[index]), RULE)
@@ -222,7 +238,7 @@ def diagnose_run(
             memory = add_confirmation_set(memory, design.mean, confirmation_logs[index])
             diagnosis = diagnose_latest_set(memory, design, suspicious=True)
             memory = add_diagnosis(memory, diagnosis)
-        calls[diagnosis.cause] += 1
+        causes.append(diagnosis.cause)
         for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
                 first[name] = float(depths[index])
@@ -231,7 +247,8 @@ def diagnose_run(
         "level": level,
         "model": model,
         "seed": seed,
-        "called": dict(calls),
+        "causes": causes,
+        "called": dict(Counter(causes)),
         "last": diagnosis.cause,
         "first_wall_depth": first["wall"],
         "first_f_depth": first["f"],

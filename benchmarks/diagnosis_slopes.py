@@ -40,12 +40,14 @@ RECORDER = NoiseFreeRecorder(names=COMPONENTS)
 PATCHES_M = {"B": 25.4e-3, "C": 50.8e-3}
 
 
-def walls(chain: ChainParameters, plate: PlateParameters, size_m: float) -> FloatArray:
-    """Return the change of the logarithms at each of `DEPTHS`, shape (len(DEPTHS), 7)."""
+def walls(
+    chain: ChainParameters, plate: PlateParameters, size_m: float, recorder: NoiseFreeRecorder = RECORDER
+) -> FloatArray:
+    """Return the change of the recorder's logarithms at each of `DEPTHS`, shape (len(DEPTHS), 7)."""
     model = ShotModel(chain, plate, CorrosionParameters(size_m=size_m))
     depths = [0.0, *DEPTHS]
     shots = model.shots([Impact(depth_fraction=depth, tilt_rad=MEAN_TILT_RAD) for depth in depths])
-    logs = np.array([RECORDER.log_features(force) for force in shots])
+    logs = np.array([recorder.log_features(force) for force in shots])
     return np.asarray(logs[1:] - logs[0])
 
 

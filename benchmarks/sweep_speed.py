@@ -64,7 +64,7 @@ def run_loop(plan: Plan) -> None:
         if plan.model == "zener":
             compute_zener_impact(*row.specimen)
         else:
-            summarise_coupled_shot(ShotModel(*row.specimen).shot())
+            summarise_coupled_shot(row.specimen, ShotModel(*row.specimen).shot(contact_forces=True))
 
 
 def run_sweep(plan: Plan, executor: Executor, workers: int) -> None:

@@ -299,13 +299,21 @@ def compute_digest(chain: ChainParameters, plate: PlateParameters, recorder: Noi
     """Return the SHA-256 (hex) of all that determines a bank; model and contact law of the plate do not."""
     adc = recorder.adc
     described = {
-        "chain": asdict(chain),
-        "plate": asdict(replace(plate, model="mindlin", contact="node", solid=SolidMesh())),
+        "chain": asdict(chain, dict_factory=_leave_strengths_out),
+        "plate": asdict(
+            replace(plate, model="mindlin", contact="node", solid=SolidMesh()),
+            dict_factory=_leave_strengths_out,
+        ),
         "sensor": recorder.tilt_loss_per_rad,
         "digitizer": (adc.sample_rate_hz, adc.record_samples, adc.pretrigger_samples),
         "versions": (TWIN_VERSION, EXTRACTOR_VERSION, BANK_VERSION),
     }
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
+
+
+def _leave_strengths_out(items: list[tuple[str, object]]) -> dict[str, object]:
+    """Return the fields of a dataclass without its yield strength, which moves no wave."""
+    return {name: value for name, value in items if name != "yield_strength_pa"}
 
 
 def build_bank(

@@ -12,14 +12,16 @@ import click
 from pydantic import TypeAdapter
 
 from daq_service.cli.sweep.shot import Specimen, compute_shot, compute_zener_impact, summarise_coupled_shot
+from daq_service.cli.sweep.shot_warnings import find_shot_warnings, report_warnings, summarise_warnings
 from daq_service.cli.sweep.specification import space_evenly
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import PositionSettings, Settings
 from daq_service.shared_file import load_module_toml
 from simulator.errors import SimulatorError
-from simulator.parameters.chain import ChainParameters
-from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+Numbers = dict[str, float | None]
+"""Results and varied parameters of a shot by key; None for a missing result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,7 @@ def print_simulation(
     depths: str | None,
     sweeps: tuple[str, ...],
     sweep_file: Path | None,
+    strict: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -52,8 +55,8 @@ def print_simulation(
     Raises
     ------
     UsageError
-        The configuration or an option is invalid, or the model cannot compute a shot; or as
-        `print_sweep`, whose other errors are raised, too.
+        The configuration or an option is invalid, the model cannot compute a shot, or with `strict`
+        there are warnings; or as `print_sweep`, whose other errors are raised, too.
     """
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:
@@ -65,6 +68,8 @@ def print_simulation(
             replace(specimen[2], depth_fraction=depth)
     except ValueError as error:
         raise UsageError(str(error)) from error
+    adc = settings.twin.adc
+    after_trigger_s = (adc.record_samples - adc.pretrigger_samples) / adc.sample_rate_hz
     if sweeps or sweep_file is not None or (depths is not None and options["outputs"]):
         from daq_service.cli.sweep.command import SweepRequest, print_sweep  # a single shot needs no tables
 
@@ -82,6 +87,8 @@ def print_simulation(
             fixed_keys=frozenset(key for key, value in fixed.items() if value is not None),
             configuration_hash=settings.configuration_hash(),
             position=position,
+            after_trigger_s=after_trigger_s,
+            strict=strict,
             **options,
         )
         print_sweep(request, TABLES[model].columns, as_json=as_json)
@@ -91,27 +98,31 @@ def print_simulation(
             named[0], f"--{named[0].replace('_', '-')}"
         )
         raise UsageError(f"{option} belongs to a sweep: give --sweep KEY=VALUES, too")
-    _print_shots(model, specimen, grid, is_table=depths is not None, as_json=as_json)
+    rows = _compute_shots(model, specimen, grid, is_table=depths is not None)
+    found = [find_shot_warnings(specimen[0], row, after_trigger_s) for row in rows]
+    if as_json:
+        shots = [{**row, "warnings": texts} for row, texts in zip(rows, found, strict=True)]
+        click.echo(json.dumps(shots[0] if depths is None else {"shots": shots}))
+    else:
+        _print_shot_table(rows, TABLES[model])
+    report_warnings(summarise_warnings(found), strict=strict, as_json=as_json)
 
 
-def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
-    """Compute one shot per depth of ``grid`` and print them as table or JSON; raise UsageError if one fails.
+def _compute_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool) -> list[Numbers]:
+    """Compute one shot per depth of ``grid``; raise UsageError if one fails.
 
-    Progress goes to standard error on a terminal.
+    Progress of a table goes to standard error on a terminal.
     """
     chain, plate, patch = specimen
     rows = []
     try:
         for number, depth in enumerate(grid, 1):
-            rows.append(_compute_shot(model, chain, plate, replace(patch, depth_fraction=depth)))
+            rows.append(_compute_shot(model, (chain, plate, replace(patch, depth_fraction=depth))))
             if is_table and sys.stderr.isatty():
                 click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
     except SimulatorError as error:
         raise UsageError(str(error)) from error
-    if as_json:
-        click.echo(json.dumps({"shots": rows} if is_table else rows[0]))
-    else:
-        _print_shot_table(rows, TABLES[model])
+    return rows
 
 
 def _build_specimen(
@@ -158,24 +169,23 @@ def _parse_grid(text: str) -> list[float]:
     return space_evenly(first, last, count)
 
 
-def _compute_shot(
-    model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
-) -> dict[str, object]:
+def _compute_shot(model: str, specimen: Specimen) -> Numbers:
     """Compute one shot, of chain and plate integrated together or by Zener's impact of the last sphere.
 
     Returns results and varied parameters by key; None for a missing result. Raises SimulatorError.
     """
+    chain, _, patch = specimen
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":
-        return {**compute_zener_impact(chain, plate, patch), **given}
+        return {**compute_zener_impact(*specimen), **given}
     return {
-        **summarise_coupled_shot(compute_shot(chain, plate, patch)),
+        **summarise_coupled_shot(specimen, compute_shot(*specimen)),
         **given,
         "tilt_rad": chain.tilt_rad,
     }
 
 
-def _print_shot_table(rows: list[dict[str, object]], table: _Table) -> None:
+def _print_shot_table(rows: list[Numbers], table: _Table) -> None:
     """Print titles, units and rows of shots, "-" for missing values, and the model's note."""
     click.echo("  ".join(f"{title:>9}" for _, title, _, _ in table.columns))
     click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in table.columns))

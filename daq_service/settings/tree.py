@@ -40,6 +40,11 @@ log = logging.getLogger(__name__)
 FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
+STRENGTHS: dict[str, IncEx | bool] = {
+    "yield_strength_pa": True,
+    "spheres": {"__all__": {"yield_strength_pa"}},
+}
+
 HASHED_OUT: Mapping[str, IncEx | bool] = {
     "site": True,
     "web": True,
@@ -48,7 +53,11 @@ HASHED_OUT: Mapping[str, IncEx | bool] = {
     "schedule": {"end_h"},
     "alarms": {"kinds"},
     "storage": True,
-    "positions": {"__all__": {"calibration"}},
+    "chain": STRENGTHS,
+    "plate": {"yield_strength_pa"},
+    "positions": {
+        "__all__": {"calibration": True, "chain": STRENGTHS, "plate": {"yield_strength_pa"}},
+    },
     # Where instruments are reached and how long they are waited for: a replugged cable is no other test.
     "rig": {
         "read_timeout_s": True,

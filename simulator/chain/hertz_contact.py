@@ -38,14 +38,19 @@ def contact_stiffness(above: Surface, below: Surface) -> float:
         raise ValueError("two flat faces touch; Hertz's law needs a round body: put a sphere between")
     if above == below:  # equation 2 as it is printed, to its last bit
         return sphere_on_sphere_stiffness(above.radius_m, above.youngs_modulus_pa, above.poisson_ratio)
+    radius = combined_radius_m(above, below)
     if math.isinf(above.radius_m):
         above, below = below, above
-    radius = above.radius_m
-    if not math.isinf(below.radius_m):
-        radius = above.radius_m * below.radius_m / (above.radius_m + below.radius_m)
     compliance = 1.0 / plane_modulus_pa(above.youngs_modulus_pa, above.poisson_ratio)
     compliance += 1.0 / plane_modulus_pa(below.youngs_modulus_pa, below.poisson_ratio)
     return 4.0 * math.sqrt(radius) / 3.0 / compliance
+
+
+def combined_radius_m(above: Surface, below: Surface) -> float:
+    """Return R in m of two surfaces in contact, ``1 / R = 1 / R_1 + 1 / R_2``; infinity for two flats."""
+    if math.isinf(above.radius_m) or math.isinf(below.radius_m):
+        return min(above.radius_m, below.radius_m)
+    return above.radius_m * below.radius_m / (above.radius_m + below.radius_m)
 
 
 def sphere_on_sphere_stiffness(radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:

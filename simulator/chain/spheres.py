@@ -17,6 +17,7 @@ is what the integrator uses.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.chain.hertz_contact import Surface, contact_stiffness, indentation_m
-from simulator.parameters.chain import Body, ChainParameters
+from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import PlateParameters
 
 FREE_FALL_M_PER_S2 = 9.81
@@ -137,17 +138,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     """
     sensor = parameters.spheres_above
     bodies = [parameters.body(i) for i in range(parameters.bodies)]
-    below = [_contact_surface(body) for body in bodies[1:]]
-    below.append(
-        Surface(
-            radius_m=math.inf,
-            youngs_modulus_pa=plate.warm_youngs_modulus_pa,
-            poisson_ratio=plate.poisson_ratio,
-        )
-    )
-    stiffness = np.array(
-        [contact_stiffness(_contact_surface(body), other) for body, other in zip(bodies, below, strict=True)]
-    )
+    stiffness = np.array([contact_stiffness(*surfaces) for surfaces in list_contacts(parameters, plate)])
     damping = np.full(len(bodies), parameters.damping_n_s_per_m)
     damping[sensor - 1 : sensor + 1] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
     damping[-1] = parameters.contact_damping_n_s_per_m
@@ -170,6 +161,26 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
         damping_exponent=DAMPING_EXPONENTS[parameters.damping_law],
         damping_reference_overlap_m=parameters.damping_reference_overlap_m,
     )
+
+
+def list_contacts(parameters: ChainParameters, plate: PlateParameters) -> list[tuple[Surface, Surface]]:
+    """Return the upper and lower surface of the contact below each body, that with the plate last."""
+    surfaces = [
+        Surface(
+            radius_m=body.radius_m,
+            youngs_modulus_pa=body.youngs_modulus_pa,
+            poisson_ratio=body.poisson_ratio,
+        )
+        for body in map(parameters.body, range(parameters.bodies))
+    ]
+    surfaces.append(
+        Surface(
+            radius_m=math.inf,
+            youngs_modulus_pa=plate.warm_youngs_modulus_pa,
+            poisson_ratio=plate.poisson_ratio,
+        )
+    )
+    return list(itertools.pairwise(surfaces))
 
 
 def change_strike(
@@ -218,10 +229,3 @@ def change_strike(
 def impact_speed_m_per_s(drop_height_m: float) -> float:
     """Return the speed of the falling striker at first touch, ``sqrt(2 g h)`` in m/s, g = 9.81 m/s^2."""
     return math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m)
-
-
-def _contact_surface(body: Body) -> Surface:
-    """Return the contact surface of a body: radius of curvature and elastic constants."""
-    return Surface(
-        radius_m=body.radius_m, youngs_modulus_pa=body.youngs_modulus_pa, poisson_ratio=body.poisson_ratio
-    )

@@ -35,6 +35,8 @@ class SphereParameters:
     """Young's modulus."""
     poisson_ratio: Annotated[float, Ge(0.0), Lt(0.5)] | None = None
     """Poisson's ratio."""
+    yield_strength_pa: Annotated[float, Gt(0.0), Le(1e11)] | None = None
+    """Yield strength."""
 
     def __post_init__(self) -> None:
         """Raise ValueError for an empty range of bodies, or for both a mass and a density."""
@@ -60,6 +62,7 @@ class Body:
     mass_kg: float
     youngs_modulus_pa: float
     poisson_ratio: float
+    yield_strength_pa: float
 
 
 @bounded
@@ -74,6 +77,8 @@ class ChainParameters:
     """Young's modulus of spheres and sensor disks at 20 C (paper: 200 GPa)."""
     poisson_ratio: Annotated[float, Ge(0.0), Lt(0.5)] = 0.3
     """Poisson's ratio of spheres and disks (paper, section 3: 0.3; section 2 says 0.28)."""
+    yield_strength_pa: Annotated[float, Gt(0.0), Le(1e11)] = 1.9e9
+    """Yield strength of spheres and disks (hardened AISI 440C steel), a limit of pressures only."""
     spheres_above: Annotated[int, Ge(1), Le(1000)] = 4
     """Spheres above the sensor, the striker counted (paper: 4)."""
     spheres_below: Annotated[int, Ge(0), Le(1000)] = 4
@@ -128,7 +133,7 @@ class ChainParameters:
     def body(self, index: int) -> Body:
         """Return the body with an index, 0 the striker, with Young's modulus at the chain's temperature."""
         radius, mass = self.radius_m, self.mass_kg
-        modulus, poisson = self.youngs_modulus_pa, self.poisson_ratio
+        modulus, poisson, strength_pa = self.youngs_modulus_pa, self.poisson_ratio, self.yield_strength_pa
         is_disk = self.sensor == "disk" and index == self.spheres_above
         for other in self.spheres:
             if index in other.bodies:
@@ -136,6 +141,7 @@ class ChainParameters:
                 mass = self._mass_kg(other)
                 modulus = modulus if other.youngs_modulus_pa is None else other.youngs_modulus_pa
                 poisson = poisson if other.poisson_ratio is None else other.poisson_ratio
+                strength_pa = strength_pa if other.yield_strength_pa is None else other.yield_strength_pa
         return Body(
             radius_m=math.inf if is_disk else radius,
             mass_kg=self.sensor_mass_kg if is_disk else mass,
@@ -143,6 +149,7 @@ class ChainParameters:
                 modulus, self.youngs_modulus_change_per_k, self.temperature_c
             ),
             poisson_ratio=poisson,
+            yield_strength_pa=strength_pa,
         )
 
     def with_worn_contacts(self, radius_factor: float) -> ChainParameters:

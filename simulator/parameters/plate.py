@@ -65,6 +65,8 @@ class PlateParameters:
     """Young's modulus of the plate at 20 C (paper: 200 GPa)."""
     poisson_ratio: Annotated[float, Ge(0.0), Lt(0.5)] = 0.3
     """Poisson's ratio of the plate (paper: 0.3)."""
+    yield_strength_pa: Annotated[float, Gt(0.0), Le(1e11)] = 2.5e8
+    """Yield strength of the plate (ASTM A36 steel), a limit of the contact's pressure only."""
     density_kg_per_m3: Annotated[float, Ge(10.0), Le(3e4)] = 7800.0
     """Density of the plate (paper: 7,800 kg/m3)."""
     temperature_c: Annotated[float, Ge(-200.0), Le(1000.0)] = 20.0

@@ -40,7 +40,15 @@ RETURN_FRACTION = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PulseSummary:
-    """Interpolated maxima of one shot; the fields of the PSW are None where nothing came back."""
+    """Interpolated maxima of one shot; the fields of the PSW are None where nothing came back.
+
+    Attributes
+    ----------
+    amplitude_ratio
+        PSW over ISW, both with the static preload.
+    dynamic_amplitude_ratio
+        The same without the preload, which a record and its features do not see.
+    """
 
     isw_peak_n: float
     isw_time_us: float
@@ -48,6 +56,7 @@ class PulseSummary:
     psw_time_us: float | None
     tof_us: float | None
     amplitude_ratio: float | None
+    dynamic_amplitude_ratio: float | None
 
 
 def summarise_pulses(force: ShotForce) -> PulseSummary:
@@ -76,6 +85,7 @@ def summarise_pulses(force: ShotForce) -> PulseSummary:
             psw_time_us=None,
             tof_us=None,
             amplitude_ratio=None,
+            dynamic_amplitude_ratio=None,
         )
     psw_time, psw_peak = _interpolate_maximum(force, psw)
     return PulseSummary(
@@ -85,6 +95,7 @@ def summarise_pulses(force: ShotForce) -> PulseSummary:
         psw_time_us=1e6 * psw_time,
         tof_us=1e6 * (psw_time - isw_time),
         amplitude_ratio=psw_peak / isw_peak,
+        dynamic_amplitude_ratio=(psw_peak - force.preload_n) / (isw_peak - force.preload_n),
     )
 
 

@@ -229,7 +229,7 @@ def test_waveforms_are_the_means_of_the_stored_records(whole, small):
 
 
 def test_the_models_match_the_figures_of_the_paper(whole):
-    _, result = whole
+    out, result = whole
     assert ours(result, "fig5", "elements") == printed_number("fig5", "elements")
     assert ours(result, "fig5", "contact_element") == pytest.approx(0.1, rel=1e-9)
     # Independent anchors: eq. 8, and the disk chain on the paper's mesh.
@@ -246,6 +246,17 @@ def test_the_models_match_the_figures_of_the_paper(whole):
         pristine = ours(result, "fig13", f"mindlin_{sensor}_tof_0")
         assert pristine == pytest.approx(ours(result, "fig12", f"{sensor}_tof"), rel=1e-9)
     assert ours(result, "fig13", "mindlin_disk_tof_80") > 400.0
+    # Without the preload of 0.9619 N at an ISW of 151.84 N; Zener's impact has none.
+    for stem, curve in (("fig12", "disk"), ("fig13", "mindlin_disk")):
+        table = columns(out / f"{stem}.csv")
+        names, kept, dynamic = (
+            table[name] for name in ("curve", "amplitude_ratio", "dynamic_amplitude_ratio")
+        )
+        at = names.index(curve) + (4 if stem == "fig12" else 0)  # the nominal ISW, the sound plate
+        removed = (151.84 * float(kept[at]) - 0.9619) / (151.84 - 0.9619)
+        assert float(dynamic[at]) == pytest.approx(removed, abs=1e-5)
+        of_zener = [k for k, name in enumerate(names) if name.startswith("zener")]
+        assert [kept[k] for k in of_zener] == [dynamic[k] for k in of_zener]
 
 
 def agreement_of(row):

@@ -47,17 +47,18 @@ class _Curve:
 def _draw_curves(
     styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float
 ) -> tuple[Figure, list[Axes]]:
-    """Draw ToF (us) and AR over the varied quantity in two panels; return figure and axes.
+    """Draw ToF (us) and AR over the varied quantity in two panels, AR without the static force as thin lines.
 
-    ``styles`` has label, color and line style of each curve by name.
+    Returns figure and axes. ``styles`` has label, color and line style of each curve by name.
     """
     figure, axes = style.create_sheet(1, 2, height_in=height_in)
     for name, points in curves.items():
         curve, columns = styles[name], np.transpose(points)
         for axis, values, label in ((axes[0], columns[1], curve.label), (axes[1], columns[2], None)):
             axis.plot(columns[0], values, color=curve.colour, ls=curve.dash, label=label)
+        axes[1].plot(columns[0], columns[3], color=curve.colour, ls=curve.dash, lw=0.5)
     axes[0].set_ylabel("time of flight (µs)")
-    axes[1].set_ylabel("amplitude ratio (1)")
+    axes[1].set_ylabel("amplitude ratio (1); thin: without static force")
     style.title_panels(axes, ("time of flight", "amplitude ratio"))
     return figure, axes
 
@@ -65,7 +66,7 @@ def _draw_curves(
 def _make_curve_table(curves: _Curves, varied: str) -> item.Table:
     """Build a table of the points of all curves, in order; ``varied`` names the column of the abscissa."""
     rows = [(name, *point) for name, points in curves.items() for point in points]
-    names = ("curve", varied, "tof_us", "amplitude_ratio")
+    names = ("curve", varied, "tof_us", "amplitude_ratio", "dynamic_amplitude_ratio")
     return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
 
 
@@ -241,10 +242,13 @@ def draw_depth_figure(material: item.Material) -> item.Product:
     absent: dict[str, str] = {}
     for name in _DEPTH_CURVES:
         try:
-            curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in material.result(name)]
+            curves[name] = [
+                (s.depth_fraction, s.tof_us, s.amplitude_ratio, s.dynamic_amplitude_ratio)
+                for s in material.result(name)
+            ]
         except item.NotAvailableError as error:
             absent[name] = str(error)
-    in_percent = {name: [(100 * depth, tof, ar) for depth, tof, ar in curves[name]] for name in curves}
+    in_percent = {name: [(100 * point[0], *point[1:]) for point in curves[name]] for name in curves}
     figure, axes = _draw_curves(_DEPTH_CURVES, in_percent, height_in=4.3)
     for program, model, mark in (("MATLAB", "mindlin", "D"), ("ABAQUS", "solid", "s")):
         for axis, kind in ((axes[0], "tof"), (axes[1], "ar")):
@@ -281,7 +285,7 @@ def _compute_depth_values(curves: _Curves, absent: Mapping[str, str]) -> dict[st
     for name, points in curves.items():
         at = {round(point[0], 6): point for point in points}
         found |= {f"{name}_{key}": item.make_value(at[depth][k]) for key, k, depth in ends}
-        depth, _, least = _find_minimum(points)
+        depth, _, least, _ = _find_minimum(points)
         found |= {f"{name}_ar_least": item.make_value(least), f"{name}_at": item.make_value(100.0 * depth)}
     return found
 
@@ -293,7 +297,7 @@ def _find_minimum(points: Sequence[models.Point]) -> models.Point:
 
 def _describe_minimum(name: str, points: Sequence[models.Point]) -> str:
     """Describe the minimum of a curve's amplitude ratio over the computed depths, and its last value."""
-    depth, _, lowest = _find_minimum(points)
+    depth, _, lowest, _ = _find_minimum(points)
     return (
         f"{_DEPTH_CURVES[name].label.capitalize()}: AR is least, {lowest:.3f}, at a depth of "
         f"{100 * depth:.0f} % and {points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."

@@ -35,18 +35,19 @@ ISW_STEPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 
 LONGEST_SEARCH = 60
 
-Point = tuple[float, float, float]
-"""What is varied, time of flight in us, amplitude ratio."""
+Point = tuple[float, float, float, float]
+"""What is varied, time of flight in us, amplitude ratio, the same without the static force."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pulse:
-    """Noise-free shot: peaks of the sensor's force, static preload included."""
+    """Noise-free shot: peaks of the sensor's force, static preload included but in the dynamic ratio."""
 
     depth_fraction: float
     isw_peak_n: float
     tof_us: float
     amplitude_ratio: float
+    dynamic_amplitude_ratio: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,7 +75,7 @@ def compute_pulses_over_isw(
 ) -> list[Point]:
     """Simulate shots with these ratios of the nominal ISW peak force, each found by its drop height.
 
-    Returns (ratio, time of flight in us, amplitude ratio) for each. Raises SimulatorError if a shot cannot be
+    Returns a point for each. Raises SimulatorError if a shot cannot be
     computed, ValueError or RuntimeError if no drop height is found within `LONGEST_SEARCH` steps.
     """
     model = ShotModel(chain, plate, CorrosionParameters())
@@ -91,15 +92,15 @@ def compute_pulses_over_isw(
             maxiter=LONGEST_SEARCH,
         )
         pulse = _compute_pulse(model, 0.0, float(height_m))
-        found.append((ratio, pulse.tof_us, pulse.amplitude_ratio))
+        found.append((ratio, pulse.tof_us, pulse.amplitude_ratio, pulse.dynamic_amplitude_ratio))
     return found
 
 
 def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
     """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2.
 
-    ``ratios`` are those of the nominal ISW amplitude. Returns (ratio, time of flight in us, amplitude ratio)
-    for each ratio. Raises SimulatorError if the model cannot compute one.
+    ``ratios`` are those of the nominal ISW amplitude. Returns a point for each.
+    Raises SimulatorError if the model cannot compute one.
 
     Parameters
     ----------
@@ -110,7 +111,8 @@ def compute_zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list
     for ratio in ratios:
         higher = replace(chain, drop_height_m=chain.drop_height_m * ratio ** (5.0 / 3.0))
         reflection = compute_reflection(higher, PlateParameters(), closed_form=closed_form)
-        found.append((ratio, 1e6 * reflection.tof_s, reflection.amplitude_ratio))
+        ar = reflection.amplitude_ratio  # of an impact without static force
+        found.append((ratio, 1e6 * reflection.tof_s, ar, ar))
     return found
 
 
@@ -160,11 +162,14 @@ def _compute_pulse(model: ShotModel, depth: float, drop_height_m: float) -> Puls
     Raises SimulatorError, also if there is no incident wave.
     """
     summary = summarise_pulses(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
+    reflected = (summary.tof_us, summary.amplitude_ratio, summary.dynamic_amplitude_ratio)
+    tof_us, ratio, dynamic_ratio = (math.nan if value is None else value for value in reflected)
     return Pulse(
         depth_fraction=depth,
         isw_peak_n=summary.isw_peak_n,
-        tof_us=math.nan if summary.tof_us is None else summary.tof_us,
-        amplitude_ratio=math.nan if summary.amplitude_ratio is None else summary.amplitude_ratio,
+        tof_us=tof_us,
+        amplitude_ratio=ratio,
+        dynamic_amplitude_ratio=dynamic_ratio,
     )
 
 

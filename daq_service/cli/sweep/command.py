@@ -13,7 +13,8 @@ import click
 from daq_service.cli.sweep.keys import SECTIONS
 from daq_service.cli.sweep.plan import Model, build_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
-from daq_service.cli.sweep.shot import OK, Specimen
+from daq_service.cli.sweep.shot import NO_REFLECTION, OK, Specimen
+from daq_service.cli.sweep.shot_warnings import find_shot_warnings, report_warnings, summarise_warnings
 from daq_service.cli.sweep.specification import Axis, parse_axis, read_sweep_file
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.errors import UsageError
@@ -39,6 +40,10 @@ class SweepRequest:
         Parameters that are not swept, options laid over them.
     fixed_keys
         Those of them that an option gives.
+    after_trigger_s
+        Length of a record after its trigger, for warnings.
+    strict
+        Make warnings errors.
     """
 
     model: Model
@@ -49,6 +54,8 @@ class SweepRequest:
     fixed_keys: frozenset[str]
     configuration_hash: str
     position: str | None
+    after_trigger_s: float
+    strict: bool
     element_wise: bool
     skip_invalid: bool
     outputs: tuple[Path, ...]
@@ -64,7 +71,7 @@ def print_sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> No
     Raises
     ------
     UsageError
-        Axes, options or outputs are invalid; a combination is refused.
+        Axes, options or outputs are invalid; a combination is refused; with `strict`, there are warnings.
     StorageError
         The disk refuses, or the work file is of another sweep.
     BusyError
@@ -104,7 +111,17 @@ def print_sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> No
     }
     with stop_on_signals() as stop:
         table = run_sweep(plan, options, origin, stop)
-    _print_results(table, request.outputs, columns, as_json=as_json)
+    results = zip(*(values.tolist() for values in table.results.values()), strict=True)
+    found = [
+        find_shot_warnings(
+            row.specimen[0], dict(zip(table.results, numbers, strict=True)), request.after_trigger_s
+        )
+        for row, numbers, status in zip(plan.rows, results, table.status, strict=True)
+        if row.specimen is not None and status in (OK, NO_REFLECTION)
+    ]
+    warnings = summarise_warnings(found)
+    _print_results(table, request.outputs, columns, warnings if as_json else None)
+    report_warnings(warnings, strict=request.strict, as_json=as_json)
 
 
 def _read_axes(request: SweepRequest) -> list[Axis]:
@@ -130,14 +147,26 @@ def _describe_sweep(request: SweepRequest) -> list[str]:
     return [*shorthand, *request.sweeps, *rows, *(["--zip"] if request.element_wise else [])]
 
 
-def _print_results(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
-    """Print the table with the number of failed rows and the content hash; facts and rows as JSON.
+def _print_results(
+    table: SweepTable, outputs: Sequence[Path], columns: Columns, json_warnings: Sequence[str] | None
+) -> None:
+    """Print the table with the number of failed rows and the content hash.
 
-    Rows are not printed if they were written to files.
+    With ``json_warnings``, print these, facts and rows as JSON. Rows are not printed if they were written to
+    files.
     """
-    if as_json:
+    if json_warnings is not None:
         shots = {} if outputs else {"shots": table.rows()}
-        click.echo(json.dumps({**table.facts, "outputs": [str(path) for path in outputs], **shots}))
+        click.echo(
+            json.dumps(
+                {
+                    **table.facts,
+                    "warnings": json_warnings,
+                    "outputs": [str(path) for path in outputs],
+                    **shots,
+                }
+            )
+        )
         return
     if not outputs:
         _print_rows(table, columns)

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.chain.contact_pressure import peak_pressures_pa, yield_pressures_pa
 from simulator.errors import SimulatorError, SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -33,6 +34,11 @@ RESULTS: Mapping[str, tuple[str, ...]] = {
         "psw_time_us",
         "tof_us",
         "amplitude_ratio",
+        "dynamic_amplitude_ratio",
+        "plate_pressure_pa",
+        "sphere_pressure_pa",
+        "plate_yield_ratio",
+        "sphere_yield_ratio",
         "preload_n",
         "energy_residual",
         "step_s",
@@ -106,7 +112,7 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
             found, force = compute_zener_impact(*specimen), None
         else:
             force = compute_shot(*specimen)
-            found = summarise_coupled_shot(force)
+            found = summarise_coupled_shot(specimen, force)
     except SpecimenError as error:
         return Outcome(index=index, numbers=no_numbers, status=f"{INVALID}{error}")
     except (SimulatorError, np.linalg.LinAlgError) as error:
@@ -122,12 +128,12 @@ def _compute_outcome(model: str, index: int, specimen: Specimen, waveforms: bool
 
 
 def compute_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
-    """Integrate chain and plate together and return the sensor's force; prepared models are cached.
+    """Integrate chain and plate together and return the forces; prepared models are cached.
 
     Raises SimulatorError if parameters do not go together or the integration fails.
     """
     return _build_model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
-        depth_fraction=corrosion.depth_fraction
+        depth_fraction=corrosion.depth_fraction, contact_forces=True
     )
 
 
@@ -156,14 +162,21 @@ def _prepare_cached_plate(plate: PlateParameters, outline: CorrosionParameters) 
     return None if modal is None else _CachedPlate(modal)
 
 
-def summarise_coupled_shot(force: ShotForce) -> dict[str, float | None]:
-    """Return peaks (N), times (us) and integration quality of a shot by key of `RESULTS`.
+def summarise_coupled_shot(specimen: Specimen, force: ShotForce) -> dict[str, float | None]:
+    """Return peaks (N), times (us), pressures (Pa) and integration quality of a shot by key of `RESULTS`.
 
-    Values of the reflected wave are None if there is none. Raises NoSolitaryWaveError without an incident
-    wave.
+    A yield ratio is the pressure over that of first yield. Values of the reflected wave are None if there is
+    none. ``force`` needs its contact forces. Raises NoSolitaryWaveError without an incident wave.
     """
+    assert force.contact_force_n is not None, "the shot was simulated without its contact forces"
+    pressures_pa = peak_pressures_pa(*specimen[:2], force.contact_force_n)
+    yield_ratios = pressures_pa / yield_pressures_pa(*specimen[:2])
     return {
         **asdict(summarise_pulses(force)),
+        "plate_pressure_pa": float(pressures_pa[-1]),
+        "sphere_pressure_pa": float(pressures_pa[:-1].max()),
+        "plate_yield_ratio": float(yield_ratios[-1]),
+        "sphere_yield_ratio": float(yield_ratios[:-1].max()),
         "preload_n": force.preload_n,
         "energy_residual": force.energy_residual,
         "step_s": force.step_s,

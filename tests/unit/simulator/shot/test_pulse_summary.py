@@ -43,6 +43,7 @@ def test_peaks_are_interpolated_and_keep_the_preload():
     assert found.psw_peak_n == pytest.approx(77.97, rel=1e-7)
     assert found.tof_us == found.psw_time_us - found.isw_time_us
     assert found.amplitude_ratio == found.psw_peak_n / found.isw_peak_n
+    assert found.dynamic_amplitude_ratio == pytest.approx(77.0 / 150.0, rel=2e-7), "without the preload"
 
 
 def test_ripple_before_the_wave_can_be_back_is_no_reflection():
@@ -77,6 +78,7 @@ def test_no_reflected_wave_gives_none():
         found = summarise_pulses(force)
         assert found.isw_peak_n == pytest.approx(150.97, rel=1e-7)
         assert (found.psw_peak_n, found.psw_time_us, found.tof_us, found.amplitude_ratio) == (None,) * 4
+        assert found.dynamic_amplitude_ratio is None
 
 
 def test_a_record_without_isw_is_an_error():

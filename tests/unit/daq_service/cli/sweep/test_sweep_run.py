@@ -23,7 +23,7 @@ from daq_service.cli.sweep import run as run_module
 from daq_service.cli.sweep.execution import ROWS_PER_TASK, group_rows_into_tasks
 from daq_service.cli.sweep.plan import build_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
-from daq_service.cli.sweep.shot import NO_REFLECTION, OK, RESULTS, compute_rows
+from daq_service.cli.sweep.shot import NO_REFLECTION, OK, RESULTS, compute_rows, summarise_coupled_shot
 from daq_service.cli.sweep.specification import parse_axis
 from daq_service.cli.sweep.work_file import build_work_file_path, open_work_file
 from daq_service.errors import BusyError, StorageError, UsageError
@@ -31,7 +31,6 @@ from daq_service.processes import executors
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise_pulses
 
 # A coarse mesh: these tests are about tables. The analytic plate needs none.
 BASE = ChainParameters(), PlateParameters(elements_per_edge=16), CorrosionParameters()
@@ -96,11 +95,9 @@ def test_each_row_is_the_single_shot_to_the_last_bit():
     assert len(set(table.results["step_s"])) > 1
     for row, found in zip(plan.rows, table.rows(), strict=True):
         assert row.specimen is not None
-        force = ShotModel(*row.specimen).shot()
-        alone = summarise_pulses(force)
+        alone = summarise_coupled_shot(row.specimen, ShotModel(*row.specimen).shot(contact_forces=True))
         for name in RESULTS["coupled"]:
-            expected = getattr(alone, name) if hasattr(alone, name) else getattr(force, name)
-            assert found[name] == expected, (name, row.values)
+            assert found[name] == alone[name], (name, row.values)
         assert found["status"] == OK
         assert found["chain.tilt_rad"] == row.values[-1]
 
