@@ -5,8 +5,8 @@
     python benchmarks/wall_verdict.py --loss 0.05 --probability 0.95
 
 Runs are those of `diagnoses.py`, with the features of the posterior, too: a baseline of 200 sets, one an
-hour, then 300 sets. The posterior (`analysis.wall`) has the bank of the shipped configurations, with curves of
-the three models among others. As in the recorder, it takes no set that the diagnosis gives to another cause.
+hour, then 300 sets. The posterior (`analysis.wall`) has the bank of the shipped configurations, with curves
+of the three models among others. As in the recorder, it takes no set that the diagnosis calls another cause.
 By the posterior it is WALL where the loss exceeds `--loss` with a probability of `--probability`, which were
 chosen on seeds 0 to 49.
 """
