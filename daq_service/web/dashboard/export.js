@@ -68,13 +68,14 @@ export function chartOffer({ fields, method, methods, positions }, span) {
   }));
   const args = ["position", ...keywords(range)].join(", ");
   const columns = ["due_h", ...fields, "quality"].map(literal).join(", ");
+  const readers = positions.map((position, k) => `${literal(position)}: test.${tables[k]}`).join(", ");
   return {
     description: "Every set of these hours, in SI units.",
     files,
     python: [
       "data = {",
       `    position: read(${args})[[${columns}]]`,
-      `    for position, read in {${positions.map((one, k) => `${literal(one)}: test.${tables[k]}`).join(", ")}}.items()`,
+      `    for position, read in {${readers}}.items()`,
       "}",
     ],
   };
