@@ -25,23 +25,16 @@ from analysis.waves.record_reduction import ExtractionSettings
 from analysis.waves.template import compare_with_others, learn_template
 from analysis.waves.transducer import ChainDescription, find_obstacles, settings_of_chain
 from daq_service.acquisition.shot_features import describe_chain
+from daq_service.cli.offline.design.candidates import make_chain
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
 from simulator.shot.pulse_summary import summarise_pulses
 from simulator.zener.model import compute_reflection
 
-MATERIALS = {
-    "steel": (200e9, 0.3, 7_790.0),
-    "tungsten carbide": (620e9, 0.22, 14_900.0),
-    "titanium": (114e9, 0.34, 4_430.0),
-    "aluminium": (70e9, 0.33, 2_700.0),
-}
-"""Young's modulus (Pa), Poisson's ratio, density (kg/m3)."""
+MATERIALS = ("steel", "tungsten carbide", "titanium", "aluminium")
 DIAMETERS_M = (6e-3, 9.525e-3, 12.7e-3, 19.05e-3, 25.4e-3, 32e-3, 40e-3)
 DEPTHS = (0.0, 0.15, 0.3, 0.45)
-DISK_PER_SPHERE = 26.9 / 28.2
-"""Mass of the sensor over a sphere's."""
 FAULTS = (waves.hole, waves.weak, waves.saturated, waves.second_strike, waves.knock, waves.lost_and_zero)
 OTHERS, OF_A_SET = 9, 5
 
@@ -58,16 +51,7 @@ class Design:
 
 
 def chain_of(diameter_m: float, material: str, **changes: float) -> ChainParameters:
-    modulus_pa, poisson, density = MATERIALS[material]
-    mass_kg = density * math.pi / 6.0 * diameter_m**3
-    return ChainParameters(
-        radius_m=diameter_m / 2.0,
-        mass_kg=mass_kg,
-        youngs_modulus_pa=modulus_pa,
-        poisson_ratio=poisson,
-        sensor_mass_kg=DISK_PER_SPHERE * mass_kg,
-        **changes,
-    )
+    return make_chain(ChainParameters(), material=material, diameter_m=diameter_m, **changes)
 
 
 def plate_model(thickness_m: float) -> ShotModel:

@@ -25,7 +25,7 @@ import scipy
 from diagnoses import AFTER, BASELINE, CORROSION, MODELS, SHOTS, electronic_sd, model_slopes
 
 from analysis.diagnosis.slopes import DEPTHS
-from simulator.experiment.seating import _compute_source_effects
+from simulator.experiment.seating import compute_source_effects
 from simulator.numerics.arrays import FloatArray
 from simulator.parameters.environmental_variability import NUISANCE
 from simulator.parameters.experiment import ScatterParameters
@@ -45,7 +45,7 @@ def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatAr
     """Return covariances of set, drift, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
     found, sources, scatter = (
         model_slopes(model),
-        _compute_source_effects(level, MODELS[model][0]),
+        compute_source_effects(level, MODELS[model][0]),
         ScatterParameters(),
     )
     to_features = found.of_place.T @ sources.effect

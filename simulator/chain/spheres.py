@@ -139,7 +139,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     sensor = parameters.spheres_above
     bodies = [parameters.body(i) for i in range(parameters.bodies)]
     stiffness = np.array([contact_stiffness(*surfaces) for surfaces in list_contacts(parameters, plate)])
-    damping = np.full(len(bodies), parameters.damping_n_s_per_m)
+    damping = np.full(len(bodies), parameters.damping_n_s_per_m, dtype=np.float64)
     damping[sensor - 1 : sensor + 1] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
     damping[-1] = parameters.contact_damping_n_s_per_m
 

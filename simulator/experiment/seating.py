@@ -83,7 +83,7 @@ def draw_climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sources:
+class Sources:
     """Sources of a level at a chain of n bodies, one number for each contact, sphere or transducer.
 
     Attributes
@@ -109,7 +109,7 @@ class _Sources:
 
 
 @lru_cache(maxsize=64)
-def _compute_source_effects(level: str, chain: ChainParameters) -> _Sources:
+def compute_source_effects(level: str, chain: ChainParameters) -> Sources:
     """Return sizes and effects of all sources of variability on a chain.
 
     ``level`` is a key of `NUISANCE`. Cached: the arrays must not be written.
@@ -135,7 +135,7 @@ def _compute_source_effects(level: str, chain: ChainParameters) -> _Sources:
         """Return one field of all sources' sizes as an array."""
         return np.array([getattr(size, name) for size in sizes])
 
-    return _Sources(
+    return Sources(
         set_sd=get_column("set_sd"),
         memory=compute_ar1_weights(get_column("memory")),
         shot_sd=get_column("shot_sd"),
@@ -166,9 +166,9 @@ class Seat:
     Attributes
     ----------
     place
-        Shape (2 n + 3,): rows as of `_Sources.effect`, with wear, friction, ageing and temperature.
+        Shape (2 n + 3,): rows as of `Sources.effect`, with wear, friction, ageing and temperature.
     shot_effect
-        Shape (2 n + 3, n_sources): `_Sources.effect` times the SDs of a shot at this hour.
+        Shape (2 n + 3, n_sources): `Sources.effect` times the SDs of a shot at this hour.
     """
 
     reseats: int
@@ -202,7 +202,7 @@ def draw_seat_of_set(
     warmer_k
         Temperature of the transducer over the mean one without the climate, K.
     """
-    parameters, sources = NUISANCE[level], _compute_source_effects(level, chain)
+    parameters, sources = NUISANCE[level], compute_source_effects(level, chain)
     size, n = sources.set_sd.size, chain.bodies
     slow = draw_slow_drift(
         Purpose.SEATING_WANDER,

@@ -17,6 +17,7 @@ EXCEPTIONS = {
     ): "one for each field of the format",
     ("daq_service/cli/demo.py", "run_demo", "parameters"): OPTIONS,
     ("daq_service/cli/offline/assess.py", "run_assess", "parameters"): OPTIONS,
+    ("daq_service/cli/offline/design/command.py", "run_design", "parameters"): OPTIONS,
     ("daq_service/cli/offline/features.py", "run_features", "parameters"): OPTIONS,
     ("daq_service/cli/set_up/setup.py", "run_setup", "parameters"): OPTIONS,
     ("daq_service/cli/simulate.py", "print_simulation", "parameters"): OPTIONS,

@@ -103,6 +103,16 @@ def test_the_examples_of_the_detection_page_run(tmp_path, monkeypatch):
     assert "2 sensors with a wall loss; a POD needs at least 6" in str(done.exception)
 
 
+def test_the_example_of_the_design_page_writes_a_better_array(tmp_path, monkeypatch):
+    (text,) = blocks(ROOT / "docs/how-to/design-an-array.md", "sh")
+    monkeypatch.chdir(tmp_path)
+    for line in text.splitlines():
+        done = CliRunner().invoke(cli, shlex.split(line)[1:])
+        assert done.exit_code == 0, done.output
+    assert load_settings(Path("best.toml")).positions["B"].chain.radius_m == 14.2875e-3
+    assert Path("arrays.svg").read_bytes().startswith(b"<?xml")
+
+
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))
 def test_the_toml_of_the_configuration_page_is_accepted(text, tmp_path):
     path = tmp_path / "example.toml"

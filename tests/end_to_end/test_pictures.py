@@ -16,7 +16,9 @@ def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others():
         for page in PAGES
         for target in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", page.read_text(encoding="utf-8"))
     }
-    of_other_sources = {DOCS / "how-to/wiring.svg", DOCS / "pictures/set-up.png"}  # a drawing; a test
+    # A drawing; a test; `solimon design --figure`.
+    drawn = ("how-to/wiring.svg", "pictures/set-up.png", "pictures/array-design.svg")
+    of_other_sources = {DOCS / name for name in drawn}
     assert shown - of_other_sources == {DOCS / picture.file for picture in PICTURES}
 
 

@@ -62,7 +62,7 @@ def only(monkeypatch):
         level = f"only {next(names)}"
         for module in (nuisance, seating):
             monkeypatch.setattr(module, "NUISANCE", {**module.NUISANCE, level: NuisanceParameters(**sizes)})
-        for kept in (seating._compute_source_effects, nuisance._draw_shot_block):
+        for kept in (seating.compute_source_effects, nuisance._draw_shot_block):
             kept.cache_clear()
         return specimen(replace(twin, nuisance=level))
 
