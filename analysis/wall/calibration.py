@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +27,10 @@ SOURCE_SD = {
 }
 """Standard deviation of a healthy set's sources before its baseline is seen, in the units of `Bank.slopes`
 (ln, but rad for the tilt, K for `modulus_k`): round numbers, assumed. They count as `PRIOR_SETS`."""
-WANDER = 1.75
-"""Covariance of later sets divided by that within a baseline of a day, which shows no slow change; chosen
-as the constants of `posterior`."""
+SLOW_DRIFT = 0.5
+"""Variance of the slow drift of later sets, which a baseline of a day does not show, divided by the variance
+of its sets, if that is the prior's; it grows with the square of their ratio: healthy sets at two levels of
+the twin, even seeds."""
 LARGEST_DIFFERENCE = np.array([0.15, 0.7, 0.7, 0.25])
 """Largest difference of the baseline's ln features from those of the sound twin. The amplitude depends on
 the sensor's gain and is not compared. A time in us instead of s differs by 13.8."""
@@ -51,6 +53,8 @@ class Calibration:
     mean: FloatArray
     whitening: FloatArray
     dof: float
+    slow: float = 0.3
+    """Fraction of the variance of a set that its slow drift has: the next sets share it."""
 
 
 def calibrate(bank: Bank, history: ArrayLike, expected: FloatArray | None = None) -> Calibration:
@@ -85,9 +89,12 @@ def calibrate(bank: Bank, history: ArrayLike, expected: FloatArray | None = None
             )
     sd = [next(sd for start, sd in SOURCE_SD.items() if name.startswith(start)) for name in bank.sources]
     of_sources = bank.slopes * np.array(sd)[:, None]
-    scatter = (x - mean).T @ (x - mean) + (PRIOR_SETS - p - 1.0) * of_sources.T @ of_sources
+    prior, prior_sets = of_sources.T @ of_sources, PRIOR_SETS - p - 1.0
+    scatter = (x - mean).T @ (x - mean) + prior_sets * prior
+    ratio = scatter / (n - 1.0 + prior_sets)
+    drift = SLOW_DRIFT * math.exp(2.0 / p * (np.linalg.slogdet(ratio)[1] - np.linalg.slogdet(prior)[1]))
     dof = PRIOR_SETS + n - p
-    scale = WANDER * scatter * (1.0 + 1.0 / n) / dof
+    scale = (1.0 + drift) * scatter * (1.0 + 1.0 / n) / dof
     root = np.sqrt(np.diag(scale))
     whitening = whitening_matrix(scale / np.outer(root, root), FEATURES) / root[:, None]
-    return Calibration(mean=mean, whitening=whitening, dof=dof)
+    return Calibration(mean=mean, whitening=whitening, dof=dof, slow=drift / (1.0 + drift))

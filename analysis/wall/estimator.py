@@ -130,7 +130,9 @@ class WallEstimator:
             state = posterior.begin(len(changes), hour)
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id)
         elif track.baseline_id != self._baseline_id:
-            state = posterior.wait(track.unpack(), hour)
+            # The slow drift is one from the baseline's mean.
+            # The slow drift is one from the baseline's mean.
+            state = replace(posterior.wait(track.unpack(), hour), slow=posterior.SlowDrift())
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id, start=find_start(state))
         if track.start is not None:
             changes = begin_from(changes, track.start)

@@ -2,16 +2,16 @@
 
 A hypothesis is a curve of the bank, with factors that stay the same for a sensor: how far curves of the twin
 may be off (the discrepancy). For each the filter is exact: the loss never decreases, the rate stays or is
-drawn again. Sets are correlated in time, so their likelihood counts by the exponent `TEMPER`. What curves
-that fit equally well disagree about widens the result (`AMBIGUITY`), not the likelihood. All constants were
-chosen on even seeds of `benchmarks/wall_thickness.py` and are shown on odd ones (decision 0069).
+drawn again. Sets share a slow drift of the sensor, which each hypothesis estimates (`SlowDrift`). What
+curves that fit equally well disagree about widens the result (`AMBIGUITY`), not the likelihood. All constants
+were chosen on even seeds of `benchmarks/wall_thickness.py` and are shown on odd ones (decision 0069).
 """
 
 from __future__ import annotations
 
+import bz2
 import math
-import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,20 +27,23 @@ LOSSES = np.arange(161) / 200.0
 """Grid of the loss: 0 to 0.8 of the wall."""
 LARGEST_VALID = 0.75
 """Loss beyond which an interval is not valid: only its lower end is stated."""
-RATES_PER_H = np.concatenate([[0.0], np.geomspace(1e-5, 1e-2, 9)])
+RATES_PER_H = np.concatenate([[0.0], np.geomspace(1e-5, 1e-2, 14)])
 """Relative loss per hour: of a 6.35-mm wall 0.56 mm per year to 1.5 mm per day; slower ones lie between 0 and
 the smallest."""
 STILL = 0.05
 """Prior probability of the rate 0; the others are equally likely."""
-NEIGHBOR, REDRAWN = 0.3, 0.02
-"""Probabilities that the rate moves to a neighbor on its grid, or is drawn again, within `TEMPER_H`."""
-TEMPER, TEMPER_H = 0.35, 17.0
-"""Exponent of a set's likelihood, so many hours after the set before; that of nearer sets, which repeat each
-other, is proportionally smaller."""
-FACTORS = 4
-FACTOR_SD, RATIO_SD = 0.15, 0.05
+NEIGHBOR, REDRAWN, CHANGE_H = 0.8, 0.02, 17.0
+"""Probabilities that the rate moves to a neighbor on its grid, or is drawn again, within `CHANGE_H`."""
+MEMORY_H = 150.0
+"""Correlation time of the slow drift that sets share (`Calibration.slow`)."""
+TEMPER = 0.6
+"""Exponent of a set's likelihood."""
+FACTORS, SOLID_FACTORS = 3, 15
+"""Draws of the discrepancy per curve of thin plates and of solids. A hypothesis is as likely as another one:
+about half of the probability is that of the solids, the main model."""
+FACTOR_SD, RATIO_SD = 0.2, 0.06
 """Discrepancy: SD of the ln factor of a feature's change, and of ln AR itself at half of the wall."""
-AMBIGUITY = 0.10
+AMBIGUITY = 0.13
 """Standard deviation of the result, as a fraction of the loss."""
 OF_WALL = 3
 """Features that the wall changes, the first ones: the incident wave is before it."""
@@ -48,18 +51,55 @@ AR = FEATURES.index("amplitude_ratio")
 QUANTILES = (0.05, 0.5, 0.95)
 LEAST = 1e-4
 """Probability of a cell, of the largest one's, below which it is left out."""
-GRAINS = 127
-"""Steps of the logarithm in which a stored state keeps probabilities: 7 % each."""
+GRAINS = 51
+"""Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
+HEAD = 4 + len(FEATURES)
+"""Numbers before the probabilities in a stored state."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlowDrift:
+    """Change of a sensor's features that consecutive sets share: a Kalman filter, in whitened units.
+
+    A hypothesis estimates it by ``offset`` minus ``share`` times the change that it predicts at ``hour``.
+
+    Attributes
+    ----------
+    known
+        Fraction of its variance that the sets explain.
+    """
+
+    offset: tuple[float, ...] = (0.0,) * len(FEATURES)
+    share: float = 0.0
+    hour: float = 0.0
+    known: float = 0.0
+
+    def wait(self, hours: float) -> SlowDrift:
+        """Return the estimate after some hours without a set."""
+        kept = math.exp(-hours / MEMORY_H)
+        offset = tuple(kept * value for value in self.offset)
+        return replace(self, offset=offset, share=kept * self.share, known=kept * kept * self.known)
+
+    def add(self, white: FloatArray, hour: float, gain: float) -> SlowDrift:
+        """Return the estimate after a set with these whitened features."""
+        share = (1.0 - gain) * self.share + gain
+        return SlowDrift(
+            offset=tuple(((1.0 - gain) * np.array(self.offset) + gain * white).tolist()),
+            share=share,
+            hour=((1.0 - gain) * self.share * self.hour + gain * hour) / share,
+            known=1.0 - (1.0 - gain) * (1.0 - self.known),
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WallState:
-    """Joint probability of hypothesis, loss and rate after a set, shape (h, 161, 10); sum 1."""
+    """Joint probability of hypothesis, loss and rate after a set, shape (h, 161, 15); sum 1."""
 
     joint: NDArray[np.float32]
     hour: float
+    slow: SlowDrift = SlowDrift()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,7 +149,7 @@ def predict_changes(
 ) -> NDArray[np.float64]:
     """Return the changes of the ln features by hypothesis and loss, shape (h, 161, 5); NaN past a curve.
 
-    A hypothesis is a curve with one of `FACTORS` draws of the discrepancy (a Sobol sequence).
+    A hypothesis is a curve with one of its draws of the discrepancy (a Sobol sequence).
     """
     curves = np.array(
         [
@@ -117,13 +157,13 @@ def predict_changes(
             for member in bank.changes
         ]
     ).transpose(0, 2, 1)
-    uniform = qmc.Sobol(OF_WALL + 1, scramble=False).random(2 * FACTORS)[1 : FACTORS + 1]
-    normal = norm.ppf(uniform)
-    factors = np.ones((FACTORS, len(FEATURES)))
-    factors[:, :OF_WALL] = np.exp(factor_sd * normal[:, :-1])
-    changes = curves[:, None] * factors[:, None]
-    changes[..., AR] += ratio_sd * normal[:, -1:] * LOSSES / 0.5
-    return np.asarray(changes.reshape(-1, len(LOSSES), len(FEATURES)))
+    normal = norm.ppf(qmc.Sobol(OF_WALL + 1, scramble=False).random(SOLID_FACTORS + 1)[1:])
+    factors = np.ones((SOLID_FACTORS, 1, len(FEATURES)))
+    factors[:, 0, :OF_WALL] = np.exp(factor_sd * normal[:, :-1])
+    shift = np.zeros((SOLID_FACTORS, len(LOSSES), len(FEATURES)))
+    shift[..., AR] = ratio_sd * normal[:, -1:] * LOSSES / 0.5
+    draws = [SOLID_FACTORS if model == "solid" else FACTORS for model in bank.models]
+    return np.concatenate([curve * factors[:n] + shift[:n] for curve, n in zip(curves, draws, strict=True)])
 
 
 def compare(calibration: Calibration, changes: FloatArray) -> Hypotheses:
@@ -143,14 +183,14 @@ def begin(n_hypotheses: int, hour: float) -> WallState:
 
 
 def add_set(
-    state: WallState, hypotheses: Hypotheses, logs: FloatArray, hour: float, exponent: float | None = None
+    state: WallState, hypotheses: Hypotheses, logs: FloatArray, hour: float, exponent: float = TEMPER
 ) -> WallState:
     """Update a state by the ln features of a set, shape (5,), at an hour of the test.
 
     Parameters
     ----------
     exponent
-        Of the likelihood; None: by `TEMPER` and the time since the set before.
+        Of the likelihood.
 
     Raises
     ------
@@ -160,18 +200,31 @@ def add_set(
     if not np.isfinite(logs).all():
         raise InvalidInputError(f"ln features {logs.tolist()} of the set at hour {hour:g}: each is needed")
     window, moved = _move_on(state, hour)
-    if exponent is None:
-        exponent = TEMPER * min((hour - state.hour) / TEMPER_H, 1.0)
-    if exponent > 0.0:
-        distances, dof = hypotheses.compute_distances(logs)[:, window], hypotheses.calibration.dof
-        evidence = -0.5 * exponent * (dof + len(FEATURES)) * np.log1p(distances / dof)
-        moved *= np.exp(evidence - evidence.max())[:, :, None].astype(np.float32)
-    return _keep(state, window, moved, hour)
+    calibration, slow = hypotheses.calibration, state.slow.wait(hour - state.hour)
+    set_white = (logs - calibration.mean) @ calibration.whitening
+    shared = calibration.slow * (1.0 - slow.known)
+    variance = shared + 1.0 - calibration.slow  # of the set about its prediction
+    of_row, column = np.nonzero(moved.any(axis=2) & np.isfinite(hypotheses.norm[:, window]))
+    white, loss = hypotheses.white.astype(np.float32), column + window.start
+    rest = (set_white - slow.offset).astype(np.float32) - white[of_row, loss]
+    # What a hypothesis takes for the slow drift follows from its loss at an earlier hour.
+    cells = np.rint(np.minimum(RATES_PER_H * (hour - slow.hour) / LOSSES[1], len(LOSSES))).astype(int)
+    evidence = np.empty((len(loss), len(RATES_PER_H)), dtype=np.float32)
+    for passed in set(cells.tolist()):
+        unexplained = rest + np.float32(slow.share) * white[of_row, np.maximum(loss - passed, 0)]
+        squares = np.einsum("nf,nf->n", unexplained, unexplained) / np.float32(variance * calibration.dof)
+        evidence[:, cells == passed] = np.log1p(squares)[:, None]
+    evidence *= np.float32(-0.5 * exponent * (calibration.dof + len(FEATURES)))
+    before = moved[of_row, column]
+    evidence -= evidence[before > 0.0].max()
+    moved = np.zeros_like(moved)
+    moved[of_row, column] = before * np.exp(np.minimum(evidence, 0.0))
+    return _keep(state, window, moved, hour, slow.add(set_white, hour, shared / variance))
 
 
 def wait(state: WallState, hour: float) -> WallState:
     """Return the state at a later hour without a set; raise InvalidInputError for an earlier one."""
-    return _keep(state, *_move_on(state, hour), hour)
+    return _keep(state, *_move_on(state, hour), hour, state.slow.wait(hour - state.hour))
 
 
 def estimate_loss(state: WallState, ambiguity: float = AMBIGUITY) -> Quantiles:
@@ -225,22 +278,26 @@ def compute_exceedance(state: WallState, loss: float) -> float:
 
 
 def pack_state(state: WallState) -> bytes:
-    """Return a state in some ten to 120 kB; `unpack_state` returns the same bytes' state exactly."""
+    """Return a state in some ten to 200 kB; `unpack_state` returns the same bytes' state exactly."""
     by_loss = np.ascontiguousarray(_find_grains(state.joint).transpose(2, 0, 1))
     steps = np.diff(by_loss, axis=2, prepend=np.uint8(0))  # neighbors are alike: that packs better
-    return zlib.compress(np.float64(state.hour).tobytes() + steps.tobytes())
+    slow = state.slow
+    head = np.array([state.hour, slow.share, slow.hour, slow.known, *slow.offset])
+    return bz2.compress(head.tobytes() + steps.tobytes())
 
 
 def unpack_state(packed: bytes) -> WallState:
     """Return the state that `pack_state` packed; raise InvalidInputError for other bytes."""
     try:
-        content = zlib.decompress(packed)
-        steps = np.frombuffer(content, dtype=np.uint8, offset=8)
+        content = bz2.decompress(packed)
+        steps = np.frombuffer(content, dtype=np.uint8, offset=8 * HEAD)
         steps = steps.reshape(len(RATES_PER_H), -1, len(LOSSES))
-    except (zlib.error, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise InvalidInputError(f"{len(packed)} bytes are no state of a wall ({error})") from error
     grains = np.cumsum(steps, axis=2, dtype=np.uint8).transpose(1, 2, 0)
-    return WallState(joint=_to_probabilities(grains), hour=float(np.frombuffer(content[:8])[0]))
+    hour, share, at, known, *offset = np.frombuffer(content[: 8 * HEAD]).tolist()
+    slow = SlowDrift(offset=tuple(offset), share=share, hour=at, known=known)
+    return WallState(joint=_to_probabilities(grains), hour=hour, slow=slow)
 
 
 def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]:
@@ -261,25 +318,29 @@ def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]
         cells = min(rate * per_cell_h, n - 1.0)
         whole, part = int(cells), np.float32(cells % 1.0)
         before, after = joint[:, :, index], moved[:, :, index]
-        after[:, whole:] += (1 - part) * before[:, : max(size - whole, 0)]
-        after[:, whole + 1 :] += part * before[:, : max(size - whole - 1, 0)]
-        if window.stop == n:
-            after[:, -1] += before.sum(axis=1) - after.sum(axis=1)  # past the grid's end
+        left = max(size - whole, 0)
+        after[:, whole:] += (1 - part) * before[:, :left]
+        after[:, whole + 1 :] += part * before[:, : max(left - 1, 0)]
+        after[:, -1] += before[:, left:].sum(axis=1)  # past the grid's end
+        if left:
+            after[:, -1] += part * before[:, left - 1]
     return window, np.asarray(moved @ _compute_rate_change(hours).astype(np.float32))
 
 
 def _compute_rate_change(hours: float) -> FloatArray:
     """Return the probability of the next rate by the present one, some hours later."""
-    part = min(hours / TEMPER_H, 1.0)
+    part = min(hours / CHANGE_H, 1.0)
     return np.asarray((1.0 - part) * np.eye(len(RATES_PER_H)) + part * _RATE_CHANGE)
 
 
-def _keep(state: WallState, window: slice, moved: NDArray[np.float32], hour: float) -> WallState:
+def _keep(
+    state: WallState, window: slice, moved: NDArray[np.float32], hour: float, slow: SlowDrift
+) -> WallState:
     """Return the state with these probabilities; those below `LEAST` of the largest are left out."""
     joint = np.zeros_like(state.joint)
     moved[moved < LEAST * moved.max()] = 0.0
     joint[:, window] = moved / moved.sum()
-    return WallState(joint=joint, hour=hour)
+    return WallState(joint=joint, hour=hour, slow=slow)
 
 
 def _sum_by_loss(joint: NDArray[np.float32]) -> FloatArray:
@@ -323,7 +384,7 @@ _STEPS = np.eye(len(RATES_PER_H) - 1, k=1) + np.eye(len(RATES_PER_H) - 1, k=-1)
 _TO_NEIGHBOR = 0.5 * NEIGHBOR * np.pad(_STEPS, (1, 0))
 _KEPT_RATE = np.diag(1.0 - _TO_NEIGHBOR.sum(axis=1))
 _RATE_CHANGE = (1.0 - REDRAWN) * (_KEPT_RATE + _TO_NEIGHBOR) + REDRAWN * _RATE_PRIOR
-"""Probability of the next rate by the present one, `TEMPER_H` later; the rate 0 has no neighbor."""
+"""Probability of the next rate by the present one, `CHANGE_H` later; the rate 0 has no neighbor."""
 _IN_CELL = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
 _SPREAD = 1.0 + AMBIGUITY * norm.ppf((np.arange(21) + 0.5) / 21.0)
 """Points of equal probability of the ambiguity, as factors of a loss."""

@@ -9,7 +9,7 @@ from scipy import stats
 from analysis.errors import InvalidInputError
 from analysis.wall import posterior
 from analysis.wall.bank import FEATURES, Bank
-from analysis.wall.calibration import calibrate
+from analysis.wall.calibration import SLOW_DRIFT, calibrate
 from analysis.wall.posterior import (
     LOSSES,
     RATES_PER_H,
@@ -100,23 +100,23 @@ def test_a_packed_state_is_read_with_its_digits_and_near_the_one_packed(bank, ch
     state = run(bank, changes, 4, np.linspace(0.0, 0.3, 20))[-1]
     packed = posterior.pack_state(state)
     read = posterior.unpack_state(packed)
-    assert len(packed) < 150_000
+    assert len(packed) < 200_000
     assert read.hour == state.hour
     assert posterior.pack_state(read) == packed
     assert np.array_equal(posterior.unpack_state(posterior.pack_state(read)).joint, read.joint)
     assert read.joint.sum() == pytest.approx(1.0, abs=1e-5)
     assert np.array_equal(read.joint > 0.0, state.joint > 0.0)
-    assert np.allclose(read.joint, state.joint, rtol=0.08)  # steps of 7 %
+    assert np.allclose(read.joint, state.joint, rtol=0.2)  # steps of 20 %
 
 
 def test_a_stored_state_has_no_probability_where_there_was_none():
     state = state_of([(0.1, 1e-3, 0.999), (0.2, 1e-3, 1e-3), (0.3, 1e-3, 1e-6)])
     kept = posterior.unpack_state(posterior.pack_state(state)).joint
     assert np.count_nonzero(kept) == 2, "but for the one below the least"
-    assert kept[0, 40].max() == pytest.approx(1e-3, rel=0.08)  # steps of 7 %
+    assert kept[0, 40].max() == pytest.approx(1e-3, rel=0.2)  # steps of 20 %
 
 
-@pytest.mark.parametrize("packed", [b"", b"other", posterior.zlib.compress(b"12345678" + b"\1" * 77)])
+@pytest.mark.parametrize("packed", [b"", b"other", posterior.bz2.compress(b"12345678" + b"\1" * 77)])
 def test_other_bytes_are_no_state(packed):
     with pytest.raises(InvalidInputError, match="are no state of a wall"):
         posterior.unpack_state(packed)
@@ -144,16 +144,63 @@ def test_distances_are_those_of_whitened_differences_and_infinite_past_a_curve(b
     assert np.isfinite(distances[0, :100]).all()
 
 
-def test_near_sets_count_by_their_distance_in_time(bank, changes):
-    baseline, sets = draw_sets(7, np.full(1, 0.2))
-    hypotheses, before = compare(calibrate(bank, baseline), changes), begin(len(changes), 24.0)
-    at_once = add_set(before, hypotheses, sets[0], 24.0)
-    assert np.allclose(at_once.joint, before.joint)
-    moved = wait(before, 24.5).joint
-    seen = add_set(before, hypotheses, sets[0], 24.5).joint
-    by_hand = add_set(before, hypotheses, sets[0], 24.5, posterior.TEMPER * 0.5 / posterior.TEMPER_H).joint
-    assert np.array_equal(seen, by_hand)
-    assert not np.allclose(seen, moved)
+def test_the_slow_drift_is_that_of_a_kalman_filter_on_a_sound_wall(bank, changes):
+    baseline, sets = draw_sets(10, np.zeros(4))
+    calibration, hours = calibrate(bank, baseline), np.array([30.0, 31.0, 50.0, 200.0])
+    hypotheses, state = compare(calibration, changes), begin(len(changes), 24.0)
+    for hour, logs in zip(hours, sets, strict=True):
+        state = add_set(state, hypotheses, logs, hour)
+    # The same by the covariance of all sets: slow drift and white noise.
+    white = (sets - calibration.mean) @ calibration.whitening
+    shared = calibration.slow * np.exp(-np.abs(hours[:, None] - hours) / posterior.MEMORY_H)
+    weights = np.linalg.solve(shared + (1.0 - calibration.slow) * np.eye(4), shared[-1])
+    assert np.allclose(state.slow.offset, weights @ white)
+    assert state.slow.share == pytest.approx(weights.sum())
+    assert state.slow.hour == pytest.approx(weights @ hours / weights.sum())
+    assert state.slow.known == pytest.approx(weights @ shared[-1] / calibration.slow)
+    later = wait(state, 200.0 + posterior.MEMORY_H).slow
+    assert np.allclose(later.offset, np.exp(-1.0) * np.array(state.slow.offset))
+    assert later.known == pytest.approx(np.exp(-2.0) * state.slow.known)
+
+
+def test_the_slow_drift_follows_from_the_loss_that_a_rate_had_before(bank, changes):
+    calibration = calibrate(bank, draw_sets(11, [])[0])
+    rate = RATES_PER_H[8]
+    slow = posterior.SlowDrift(offset=(0.4, -0.2, 0.1, 0.0, 0.3), share=0.6, hour=40.0, known=0.5)
+    before = replace(state_of([(0.2, 0.0, 0.5), (0.2, rate, 0.5)]), slow=slow)
+    logs = calibration.mean + np.array([0.03, -0.1, -0.07, 0.0, 0.01])
+    after = add_set(before, compare(calibration, changes[:1]), logs, 100.0, exponent=1.0)
+    evidence = []
+    for then in (0.2, LOSSES[40 - round(rate * 60.0 / LOSSES[1])]):
+        predicted = changes[0, 40] - 0.6 * changes[0, np.abs(LOSSES - then).argmin()]
+        rest = (logs - calibration.mean - predicted) @ calibration.whitening - slow.offset
+        variance = 1.0 - 0.5 * calibration.slow
+        distance = rest @ rest / (variance * calibration.dof)
+        evidence.append(-0.5 * (calibration.dof + 5) * np.log1p(distance))
+    found = after.joint[0, 40, 8] / after.joint[0, 40, 0]
+    assert then < 0.18
+    assert found == pytest.approx(np.exp(evidence[1] - evidence[0]), rel=1e-3)
+
+
+def test_a_shift_that_stays_is_less_of_a_loss_than_one_that_grows(bank, changes):
+    """A shift by 6 % of loss could be the slow drift; when it grows with time, the wall is more likely."""
+    constant, growing = (
+        posterior.estimate_loss(run(bank, changes, 12, losses)[-1])
+        for losses in (np.full(20, 0.06), np.linspace(0.0, 0.12, 20))
+    )
+    assert growing.median > constant.median + 0.03
+
+
+def test_a_sensor_that_scatters_more_is_expected_to_drift_more(bank):
+    quiet, _ = draw_sets(11, [])
+    loud = SOUND + 1.5 * (quiet - SOUND)
+    first, second = calibrate(bank, quiet), calibrate(bank, loud)
+    drift, larger = (one.slow / (1.0 - one.slow) for one in (first, second))
+    assert 0.5 * SLOW_DRIFT < drift < 2.0 * SLOW_DRIFT
+    assert larger / drift == pytest.approx(1.5**4, rel=0.2)  # the square of the ratio of variances
+    # The scale of a set has the drift in it: variances grow by 1 + drift.
+    ratio = np.linalg.det(first.whitening) / np.linalg.det(second.whitening)
+    assert ratio == pytest.approx(1.5**5 * ((1.0 + larger) / (1.0 + drift)) ** 2.5, rel=0.3)
 
 
 @pytest.mark.parametrize(
@@ -216,19 +263,19 @@ def test_the_probability_of_a_limit_counts_the_losses_above_it():
 
 def test_a_rate_stays_moves_to_its_neighbors_or_is_drawn_again():
     at_rest, in_the_middle, at_the_end = (
-        posterior._move_on(state_of([(0.1, rate, 1.0)], hour=0.0), posterior.TEMPER_H)[1]
+        posterior._move_on(state_of([(0.1, rate, 1.0)], hour=0.0), posterior.CHANGE_H)[1]
         for rate in (0.0, RATES_PER_H[4], RATES_PER_H[-1])
     )
-    redrawn = posterior.REDRAWN * posterior._RATE_PRIOR
+    redrawn, one = posterior.REDRAWN * posterior._RATE_PRIOR, np.eye(len(RATES_PER_H))
     kept, to_each = 1.0 - posterior.REDRAWN, (1.0 - posterior.REDRAWN) * posterior.NEIGHBOR / 2.0
-    stays = redrawn + kept * np.eye(10)[0]
+    stays = redrawn + kept * one[0]
     assert np.allclose(at_rest.sum(axis=(0, 1)), stays, atol=1e-6), "nothing but a redraw ends a rest"
-    spread = redrawn + to_each * (np.eye(10)[3] + np.eye(10)[5]) + (kept - 2.0 * to_each) * np.eye(10)[4]
+    spread = redrawn + to_each * (one[3] + one[5]) + (kept - 2.0 * to_each) * one[4]
     assert np.allclose(in_the_middle.sum(axis=(0, 1)), spread, atol=1e-6)
-    last = redrawn + to_each * np.eye(10)[8] + (kept - to_each) * np.eye(10)[9]
+    last = redrawn + to_each * one[-2] + (kept - to_each) * one[-1]
     assert np.allclose(at_the_end.sum(axis=(0, 1)), last, atol=1e-6)
-    sooner = posterior._compute_rate_change(0.25 * posterior.TEMPER_H)
-    assert np.allclose(sooner[0], 0.75 * np.eye(10)[0] + 0.25 * stays)
+    sooner = posterior._compute_rate_change(0.25 * posterior.CHANGE_H)
+    assert np.allclose(sooner[0], 0.75 * one[0] + 0.25 * stays)
 
 
 def test_rates_move_losses_exactly_and_probability_stays_one():
@@ -244,28 +291,30 @@ def test_rates_move_losses_exactly_and_probability_stays_one():
 def test_truths_drawn_from_the_prior_have_uniform_ranks(bank, monkeypatch):
     """Simulation-based calibration (Talts et al., 2018) of the untempered filter without ambiguity.
 
-    Truth: hypothesis, rates and losses of the filter's own prior, sets of its own t distribution.
+    Truth: hypothesis, rates and losses of the filter's own prior, sets with its own slow drift and scatter.
     """
     changes = predict_changes(bank)
     calibration = calibrate(bank, draw_sets(9, [])[0])
     random = np.random.default_rng(20)
     ranks = []
     hypotheses, color = compare(calibration, changes), np.linalg.inv(calibration.whitening)
-    rate_change = posterior._compute_rate_change(4.0)
+    rate_change, kept = posterior._compute_rate_change(4.0), np.exp(-4.0 / posterior.MEMORY_H)
     for _ in range(1000):
         hypothesis = random.integers(len(changes))
-        rate, loss = random.choice(RATES_PER_H, p=posterior._RATE_PRIOR), 0.0
+        rate, cell = random.choice(RATES_PER_H, p=posterior._RATE_PRIOR), 0
+        slow = calibration.slow**0.5 * random.standard_normal(5)
         state = begin(len(changes), 0.0)
         for hour in (4.0, 8.0, 12.0, 16.0):
-            loss = min(loss + 4.0 * rate, LOSSES[-1])
+            # Between two losses of the grid the filter shares a probability: it moves to either.
+            step = 4.0 * rate / LOSSES[1]
+            cell = min(cell + int(step + random.random()), len(LOSSES) - 1)
             rate = random.choice(RATES_PER_H, p=rate_change[np.flatnonzero(rate == RATES_PER_H)[0]])
-            mean = [np.interp(loss, LOSSES, column) for column in changes[hypothesis].T]
-            t = random.standard_normal(5) / np.sqrt(random.chisquare(calibration.dof) / calibration.dof)
-            state = add_set(state, hypotheses, calibration.mean + mean + t @ color, hour, exponent=1.0)
+            slow = kept * slow + (calibration.slow * (1.0 - kept**2)) ** 0.5 * random.standard_normal(5)
+            t = slow + (1.0 - calibration.slow) ** 0.5 * random.standard_normal(5)
+            t /= np.sqrt(random.chisquare(calibration.dof) / calibration.dof)
+            logs = calibration.mean + changes[hypothesis, cell] + t @ color
+            state = add_set(state, hypotheses, logs, hour, exponent=1.0)
         of_loss = state.joint.sum(axis=(0, 2), dtype=float)
-        # The loss lies between grid points; its rank is that of a point drawn by its weights.
-        at = loss / LOSSES[1]
-        cell = int(at) + (random.random() < at % 1.0)
         ranks.append(of_loss[:cell].sum() + random.random() * of_loss[cell])
     counts, _ = np.histogram(ranks, bins=10, range=(0.0, 1.0))
     assert stats.chisquare(counts).pvalue > 0.01, counts
@@ -284,4 +333,15 @@ def test_a_bank_of_one_curve_without_discrepancy_has_equal_hypotheses(bank):
     assert np.array_equal(found[0], found[-1])
     wanted = np.interp(LOSSES, bank.losses, bank.changes[0][:, 0])
     assert np.allclose(found[0, :, 0], wanted)
-    assert found.shape == (posterior.FACTORS, len(LOSSES), len(FEATURES))
+    assert found.shape == (posterior.SOLID_FACTORS, len(LOSSES), len(FEATURES))
+
+
+def test_thin_plates_have_the_first_draws_of_the_solids_and_together_about_half_their_probability(bank):
+    mixed = predict_changes(replace(bank, models=("mindlin", "solid", "wet_mindlin")))
+    few, many = posterior.FACTORS, posterior.SOLID_FACTORS
+    assert len(mixed) == few + many + few
+    alone = predict_changes(bank)
+    assert np.array_equal(mixed[few : few + many], alone[many : 2 * many])
+    assert np.array_equal(mixed[:few], alone[:few])
+    assert np.array_equal(mixed[-few:], alone[2 * many : 2 * many + few])
+    assert np.allclose(np.log(alone[:many, -1, 0] / alone[0, -1, 0]).mean(), 0.0, atol=1e-12), "symmetric"
