@@ -131,7 +131,6 @@ class WallEstimator:
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id)
         elif track.baseline_id != self._baseline_id:
             # The slow drift is one from the baseline's mean.
-            # The slow drift is one from the baseline's mean.
             state = replace(posterior.wait(track.unpack(), hour), slow=posterior.SlowDrift())
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id, start=find_start(state))
         if track.start is not None:

@@ -13,10 +13,11 @@ import bz2
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from statistics import NormalDist
 
 import numpy as np
+import scipy  # its parts come when asked for: they are slow to import
 from numpy.typing import NDArray
-from scipy.stats import f, norm, qmc
 
 from analysis.errors import InvalidInputError
 from analysis.wall.bank import FEATURES, Bank
@@ -45,6 +46,15 @@ FACTOR_SD, RATIO_SD = 0.2, 0.06
 """Discrepancy: SD of the ln factor of a feature's change, and of ln AR itself at half of the wall."""
 AMBIGUITY = 0.13
 """Standard deviation of the result, as a fraction of the loss."""
+SOBOL = np.array(
+    [
+        [8, 12, 4, 6, 14, 10, 2, 3, 11, 15, 7, 5, 13, 9, 1],
+        [8, 4, 12, 6, 14, 2, 10, 5, 13, 1, 9, 3, 11, 7, 15],
+        [8, 4, 12, 10, 2, 14, 6, 15, 7, 11, 3, 5, 13, 1, 9],
+        [8, 4, 12, 14, 6, 10, 2, 7, 15, 3, 11, 9, 1, 13, 5],
+    ]
+).T
+"""First points of the Sobol sequence in four dimensions, in sixteenths: normal factors of a discrepancy."""
 OF_WALL = 3
 """Features that the wall changes, the first ones: the incident wave is before it."""
 AR = FEATURES.index("amplitude_ratio")
@@ -131,7 +141,7 @@ class Hypotheses:
         That sensor exceeds it at the rate `MISFIT_RATE`; above 1 no wall explains the set.
         """
         p = len(FEATURES)
-        limit = p * float(f.isf(MISFIT_RATE, p, self.calibration.dof))
+        limit = p * float(scipy.special.fdtri(p, self.calibration.dof, 1.0 - MISFIT_RATE))
         return float(self.compute_distances(logs).min()) / limit
 
 
@@ -142,6 +152,12 @@ class Quantiles:
     low: float
     median: float
     high: float
+
+
+def _to_normal(probabilities: NDArray[np.floating]) -> FloatArray:
+    """Return the quantiles of the standard normal distribution."""
+    quantiles = [NormalDist().inv_cdf(one) for one in probabilities.ravel().tolist()]
+    return np.array(quantiles).reshape(probabilities.shape)
 
 
 def predict_changes(
@@ -157,7 +173,7 @@ def predict_changes(
             for member in bank.changes
         ]
     ).transpose(0, 2, 1)
-    normal = norm.ppf(qmc.Sobol(OF_WALL + 1, scramble=False).random(SOLID_FACTORS + 1)[1:])
+    normal = _to_normal(SOBOL / (SOLID_FACTORS + 1.0))
     factors = np.ones((SOLID_FACTORS, 1, len(FEATURES)))
     factors[:, 0, :OF_WALL] = np.exp(factor_sd * normal[:, :-1])
     shift = np.zeros((SOLID_FACTORS, len(LOSSES), len(FEATURES)))
@@ -386,7 +402,7 @@ _KEPT_RATE = np.diag(1.0 - _TO_NEIGHBOR.sum(axis=1))
 _RATE_CHANGE = (1.0 - REDRAWN) * (_KEPT_RATE + _TO_NEIGHBOR) + REDRAWN * _RATE_PRIOR
 """Probability of the next rate by the present one, `CHANGE_H` later; the rate 0 has no neighbor."""
 _IN_CELL = np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
-_SPREAD = 1.0 + AMBIGUITY * norm.ppf((np.arange(21) + 0.5) / 21.0)
+_SPREAD = 1.0 + AMBIGUITY * _to_normal((np.arange(21) + 0.5) / 21.0)
 """Points of equal probability of the ambiguity, as factors of a loss."""
 _OF_GRAINS = np.exp(-math.log(LEAST) * (np.arange(GRAINS + 1) - GRAINS) / (GRAINS - 1)).astype(np.float32)
 _OF_GRAINS[0] = 0.0

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import platformdirs
-from scipy.interpolate import CubicSpline
 
 from analysis.errors import InvalidInputError
 from analysis.wall.bank import ESTIMAND_RADIUS_M, FEATURES, Bank, load_bank, save_bank
@@ -266,6 +265,8 @@ def _simulate_curve(
     The curve ends, with NaN, at the first depth that the twin does not simulate, or without a reflected wave,
     or where the time of flight stops growing: then the extractor takes another wave.
     """
+    from scipy.interpolate import CubicSpline
+
     from simulator.shot.model import Impact
 
     damping = np.full(chain.bodies, member.damping_factor)

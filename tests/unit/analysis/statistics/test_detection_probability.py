@@ -89,7 +89,7 @@ def test_a_detection_that_is_only_known_to_be_later_raises_the_bound():
     assert bound == pytest.approx(bound_quantile(values, everything, 0.9), abs=1e-4)
 
 
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 @given(factor=st.floats(1e-3, 1e3), n_censored=st.integers(0, 3))
 def test_a_factor_on_all_losses_is_a_factor_on_the_result(factor, n_censored):
     is_seen = np.arange(8) < 8 - n_censored
