@@ -26,7 +26,7 @@ from daq_service.settings.tree import Settings
 SETS = 3
 SPECIFICATION = "https://w3id.org/ro/crate/1.2"
 TABLES = ("sets", "features", "shot_features", "assessments", "thickness", "environment")
-TABLES += ("baselines", "alarms", "annotations")
+TABLES += ("wall", "baselines", "alarms", "annotations")
 PRIVATE = ("hooks.example.org", "+39 081 555", "lab-pc-7")
 POSITIONS = Settings().model_dump(mode="json")["positions"]
 POSITIONS["B"]["calibration"]["certificate"] = "K-7"

@@ -65,6 +65,7 @@ def test_each_result_has_its_limit_quality_and_age(filled):
     distance, chart = assessment["distance_squared"], assessment["mewma_statistic"]
     assert word["chart"] == {"statistic": chart, "limit": LIMIT_CHART}
     waves = f"ToF {1e6 * feature['tof_pp_s']:.1f} us, AR {feature['amplitude_ratio']:.3f}"
+    waves += ", wall 6.35 mm (6.03 to 6.35)"
     rest = f"good, n = 1  0 s  {SETS - 1} done"
     assert line_of(lines, " B") == (
         f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  {chart:.1f} of {LIMIT_CHART}  {rest}"

@@ -432,7 +432,7 @@ def test_annotations_are_drawn_where_they_begin_and_end(filled):
         for place in report_contents.positions
     }
     # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
-    assert drawn == {"A": 1, "B": 3 * 3, "C": 3, "D": 3}
+    assert drawn == {"A": 1, "B": 3 * 4, "C": 4, "D": 4}
 
 
 def test_text_of_a_figure_is_text(filled):
