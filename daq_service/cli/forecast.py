@@ -44,6 +44,7 @@ class RecordSize:
 
     samples: int
     sample_rate_hz: float
+    pretrigger_samples: int = 0
     bytes_per_sample: int = 2
     known: bool = True
 
@@ -51,6 +52,11 @@ class RecordSize:
     def n_bytes(self) -> int:
         """Return the size of the record's ADC counts in bytes."""
         return self.samples * self.bytes_per_sample
+
+    @property
+    def after_trigger_s(self) -> float:
+        """Return the length of the record behind its trigger in s, infinite if unknown."""
+        return (self.samples - self.pretrigger_samples) / self.sample_rate_hz if self.known else math.inf
 
 
 def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
@@ -60,14 +66,23 @@ def predict_record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
     """
     adc, sampled_echo = settings.twin.adc, settings.twin.echo
     known = settings.rig.kind in ("simulated", "daqmx")
-    strike = RecordSize(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
+    strike = RecordSize(
+        samples=adc.record_samples,
+        sample_rate_hz=adc.sample_rate_hz,
+        pretrigger_samples=adc.pretrigger_samples,
+        known=known,
+    )
     echo = RecordSize(
         samples=sampled_echo.record_samples, sample_rate_hz=sampled_echo.sample_rate_hz, known=known
     )
     boards, probes = settings.rig.daqmx, settings.rig.niscope
     if settings.rig.kind == "daqmx" and boards is not None:
         # Boards of up to 16 bits; 18 bits take twice as much, which only the board itself knows.
-        strike = RecordSize(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
+        strike = RecordSize(
+            samples=boards.record_samples,
+            sample_rate_hz=boards.sample_rate_hz,
+            pretrigger_samples=boards.pretrigger_samples,
+        )
     if settings.rig.kind == "daqmx" and probes is not None:
         # The sum of the averaged records.
         echo = RecordSize(

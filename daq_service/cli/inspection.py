@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -131,7 +130,8 @@ def _print_plan(settings: Settings, facts: Mapping[str, Any]) -> None:
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
     _print_receivers(settings.notifications)
-    for warning in find_transducer_warnings(settings.positions, facts["record_s"]):
+    strike = predict_record_sizes(settings)[0]
+    for warning in find_transducer_warnings(settings.positions, strike.after_trigger_s):
         click.echo(f"WARNING: {warning}", err=True)
     for warning in find_calibration_warnings(settings.positions):
         click.echo(f"WARNING: {warning}; calibrate the sensor, then correct the date", err=True)
@@ -170,10 +170,10 @@ def _print_receivers(notifications: NotificationSettings) -> None:
             click.echo(f"WARNING: {error}", err=True)
 
 
-def find_transducer_warnings(positions: Mapping[str, PositionSettings], record_s: float | None) -> list[str]:
+def find_transducer_warnings(positions: Mapping[str, PositionSettings], after_trigger_s: float) -> list[str]:
     """Return a text for each obstacle to assessing a transducer's waves, by Zener's model of the sound plate.
 
-    ``record_s`` is the length of a record in s, None if unknown.
+    ``after_trigger_s`` is the length of a record behind its trigger, infinite if unknown.
     """
     from simulator.zener.model import compute_reflection
 
@@ -191,7 +191,7 @@ def find_transducer_warnings(positions: Mapping[str, PositionSettings], record_s
                     settings[name],
                     inelasticity=zener.inelasticity,
                     amplitude_ratio=zener.amplitude_ratio,
-                    after_trigger_s=math.inf if record_s is None else record_s,
+                    after_trigger_s=after_trigger_s,
                 )
             ]
     return found
