@@ -293,6 +293,11 @@ def compute_exceedance(state: WallState, loss: float) -> float:
     return float(of_loss @ (LOSSES[:, None] * _SPREAD > loss).mean(axis=1))
 
 
+def round_state(state: WallState) -> WallState:
+    """Return the state with the digits that it has when it was stored and read."""
+    return replace(state, joint=_to_probabilities(_find_grains(state.joint)))
+
+
 def pack_state(state: WallState) -> bytes:
     """Return a state in some ten to 200 kB; `unpack_state` returns the same bytes' state exactly."""
     by_loss = np.ascontiguousarray(_find_grains(state.joint).transpose(2, 0, 1))

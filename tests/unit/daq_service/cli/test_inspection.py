@@ -56,7 +56,7 @@ def test_a_baseline_without_possible_limits_causes_a_warning(tmp_path, capsys, t
     [
         ("[chain]\nradius_m = 0.02\nmass_kg = 0.261\nspheres_below = 4", [" 1.14, above 0.7"]),
         ("[chain]\nspheres_below = 1", ["1.6 of its widths, below 2.5: they overlap"]),
-        ("[chain]\nspheres_below = 24", ["the record lasts 1260 us after its trigger", "below 1407 us: record longer"]),
+        ("[chain]\nspheres_below = 24", ["lasts 1260 us after its trigger", "below 1407 us: record longer"]),
         ("[plate]\nthickness_m = 2e-3", ["inelasticity is 2.60", "ratio is 0.00, below 0.2"]),
         ("[positions.B]\nmethod = 'solitary_wave'\nwaves = {isw_fwhm_s = 3e-4}", ["below 2362 us"]),
     ],
