@@ -63,7 +63,7 @@ LEAST = 1e-4
 """Probability of a cell, of the largest one's, below which it is left out."""
 GRAINS = 51
 """Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
-HEAD = 4 + len(FEATURES)
+HEAD = 6 + len(FEATURES)
 """Numbers before the probabilities in a stored state."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
@@ -295,30 +295,46 @@ def compute_exceedance(state: WallState, loss: float) -> float:
 
 def round_state(state: WallState) -> WallState:
     """Return the state with the digits that it has when it was stored and read."""
-    return replace(state, joint=_to_probabilities(_find_grains(state.joint)))
+    window = _find_window(state)
+    return _spread(state, window, _to_probabilities(_find_grains(state.joint[:, window])))
 
 
 def pack_state(state: WallState) -> bytes:
     """Return a state in some ten to 200 kB; `unpack_state` returns the same bytes' state exactly."""
-    by_loss = np.ascontiguousarray(_find_grains(state.joint).transpose(2, 0, 1))
+    window, slow = _find_window(state), state.slow
+    by_loss = np.ascontiguousarray(_find_grains(state.joint[:, window]).transpose(2, 0, 1))
     steps = np.diff(by_loss, axis=2, prepend=np.uint8(0))  # neighbors are alike: that packs better
-    slow = state.slow
-    head = np.array([state.hour, slow.share, slow.hour, slow.known, *slow.offset])
-    return bz2.compress(head.tobytes() + steps.tobytes())
+    head = [len(state.joint), window.start, state.hour, slow.share, slow.hour, slow.known, *slow.offset]
+    return bz2.compress(np.array(head).tobytes() + steps.tobytes())
 
 
 def unpack_state(packed: bytes) -> WallState:
     """Return the state that `pack_state` packed; raise InvalidInputError for other bytes."""
     try:
         content = bz2.decompress(packed)
+        n, first, hour, share, at, known, *offset = np.frombuffer(content[: 8 * HEAD]).tolist()
         steps = np.frombuffer(content, dtype=np.uint8, offset=8 * HEAD)
-        steps = steps.reshape(len(RATES_PER_H), -1, len(LOSSES))
+        steps = steps.reshape(len(RATES_PER_H), int(n), -1)
     except (OSError, ValueError) as error:
         raise InvalidInputError(f"{len(packed)} bytes are no state of a wall ({error})") from error
     grains = np.cumsum(steps, axis=2, dtype=np.uint8).transpose(1, 2, 0)
-    hour, share, at, known, *offset = np.frombuffer(content[: 8 * HEAD]).tolist()
     slow = SlowDrift(offset=tuple(offset), share=share, hour=at, known=known)
-    return WallState(joint=_to_probabilities(grains), hour=hour, slow=slow)
+    empty = np.zeros((int(n), len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
+    window = slice(int(first), int(first) + steps.shape[2])
+    return _spread(WallState(joint=empty, hour=hour, slow=slow), window, _to_probabilities(grains))
+
+
+def _find_window(state: WallState) -> slice:
+    """Return the losses that are possible, with all in between."""
+    possible = np.flatnonzero(_sum_by_loss(state.joint))
+    return slice(int(possible[0]), int(possible[-1]) + 1)
+
+
+def _spread(state: WallState, window: slice, joint: NDArray[np.float32]) -> WallState:
+    """Return a state with the probabilities of some losses; the others have none."""
+    whole = np.zeros_like(state.joint)
+    whole[:, window] = joint
+    return replace(state, joint=whole)
 
 
 def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]:

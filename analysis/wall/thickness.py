@@ -15,7 +15,7 @@ from analysis.wall import posterior
 from analysis.wall.bank import FEATURES
 from analysis.waves.record_reduction import FloatArray
 
-STEP_H = 12.0
+STEP_H = 8.0
 """The filter goes on in steps of at least so many hours, by the mean of their sets: what one of many sets
 adds to a stored probability would be lost in its rounding, at a high cost of CPU."""
 S_PER_H = 3600.0

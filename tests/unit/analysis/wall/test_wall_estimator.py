@@ -13,7 +13,7 @@ from analysis.wall.thickness import STEP_H, Pool
 from daq_service.assessment.wall_bank import SHIPPED_BANK
 
 SD = np.array([0.006, 0.03, 0.017, 0.008, 0.05])
-EVERY_H = 6.0
+EVERY_H = 4.0
 """Two sets a step."""
 
 
