@@ -129,9 +129,14 @@ class WallEstimator:
         if track is None:
             state = posterior.begin(len(changes), hour)
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id)
+        elif (n_stored := len((stored := track.unpack()).joint)) != len(changes):
+            raise InvalidInputError(
+                f"the stored wall has {n_stored} hypotheses, those of this version are {len(changes)}: go on "
+                "with the version that began the test, or measure the wall"
+            )
         elif track.baseline_id != self._baseline_id:
             # The slow drift is one from the baseline's mean.
-            state = replace(posterior.wait(track.unpack(), hour), slow=posterior.SlowDrift())
+            state = replace(posterior.wait(stored, hour), slow=posterior.SlowDrift())
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id, start=find_start(state))
         if track.start is not None:
             changes = begin_from(changes, track.start)

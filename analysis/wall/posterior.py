@@ -221,6 +221,9 @@ def add_set(
     shared = calibration.slow * (1.0 - slow.known)
     variance = shared + 1.0 - calibration.slow  # of the set about its prediction
     of_row, column = np.nonzero(moved.any(axis=2) & np.isfinite(hypotheses.norm[:, window]))
+    before = moved[of_row, column]
+    if not before.any():  # each is past its curve: the set excludes none of them
+        return wait(state, hour)
     white, loss = hypotheses.white.astype(np.float32), column + window.start
     rest = (set_white - slow.offset).astype(np.float32) - white[of_row, loss]
     # What a hypothesis takes for the slow drift follows from its loss at an earlier hour.
@@ -231,7 +234,6 @@ def add_set(
         squares = np.einsum("nf,nf->n", unexplained, unexplained) / np.float32(variance * calibration.dof)
         evidence[:, cells == passed] = np.log1p(squares)[:, None]
     evidence *= np.float32(-0.5 * exponent * (calibration.dof + len(FEATURES)))
-    before = moved[of_row, column]
     evidence -= evidence[before > 0.0].max()
     moved = np.zeros_like(moved)
     moved[of_row, column] = before * np.exp(np.minimum(evidence, 0.0))

@@ -172,3 +172,16 @@ def test_without_a_bank_there_is_no_row_until_it_is_built(opened):
     assert track is not None
     assert thickness.quality == "good"
     assert thickness.below_minimum_probability is None
+
+
+def test_a_stored_wall_of_another_bank_is_refused_with_each_set(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    sets = draw_sets(opened[0], np.zeros(3), 120.0)
+    track, _ = follow(make_estimator(opened), baseline, sets[:1])
+    fewer = WallEstimator(
+        lambda: (opened[0], opened[1][:-1]), AlarmRule(), None, baseline_id=1, is_first=True
+    )
+    after, found = follow(fewer, baseline, sets[1:], track)
+    assert after is track
+    assert all(one.quality == "bad" and one.thickness_m is None for one in found)
+    assert "hypotheses, those of this version are" in found[0].reason

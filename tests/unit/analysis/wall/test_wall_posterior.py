@@ -243,6 +243,18 @@ def state_of(cells, hour=100.0):
     return WallState(joint=joint, hour=hour)
 
 
+def test_a_set_past_the_end_of_every_possible_curve_moves_time_only(bank, changes):
+    ended = changes.copy()
+    ended[:, 100:] = np.nan
+    hypotheses = compare(calibrate(bank, draw_sets(8, [])[0]), ended)
+    joint = np.zeros((len(changes), len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
+    joint[:, 120, 0] = 1.0 / len(changes)
+    before = WallState(joint=joint, hour=100.0)
+    after = add_set(before, hypotheses, SOUND, 117.0)
+    assert np.array_equal(after.joint, wait(before, 117.0).joint)
+    assert after.hour == 117.0
+
+
 def test_a_forecast_is_the_rest_divided_by_the_rate():
     rate = RATES_PER_H[6]
     certain = posterior.forecast(state_of([(0.1, rate, 1.0)]), 0.3)

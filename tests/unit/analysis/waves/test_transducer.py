@@ -86,7 +86,7 @@ def test_a_record_that_is_too_coarse_is_refused_in_its_own_time():
 
 
 @pytest.mark.parametrize(
-    ("changes", "numbers", "says"),
+    ("changes", "numbers", "message"),
     [
         ({}, {}, None),
         ({}, {"inelasticity": 0.71}, r"inelasticity is 0\.71, above 0\.7"),
@@ -95,10 +95,10 @@ def test_a_record_that_is_too_coarse_is_refused_in_its_own_time():
         ({}, {"after_trigger_s": 400e-6}, "lasts 400 us after its trigger, below 509 us"),
     ],
 )
-def test_an_impossible_design_is_refused_with_the_number(changes, numbers, says):
+def test_an_impossible_design_is_refused_with_the_number(changes, numbers, message):
     chain = replace(PAPER, **changes)
     found = find_obstacles(
         chain, ExtractionSettings(), **{"inelasticity": 0.26, "amplitude_ratio": 0.5, **numbers}
     )
-    assert len(found) == (says is not None)
-    assert says is None or re.search(says, found[0])
+    assert len(found) == (message is not None)
+    assert message is None or re.search(message, found[0])
