@@ -63,11 +63,13 @@ function list(values) {
  * minimum or when it will be.
  *
  * @param {any} row of `/wall`
+ * @param {number | null} newest_h hour of the newest set: the wall's own is told if it is another one
  * @returns {[string, string][]}
  */
-function wallValues(row) {
+function wallValues(row, newest_h) {
   const interval = `${fixed(1e3 * row.interval_low_m, 2)} to ${fixed(1e3 * row.interval_high_m, 2)}, 90 %`;
-  const doubt = row.quality === "good" ? "" : `; ${row.quality}`;
+  const at = row.due_h === newest_h ? "" : `; hour ${hour(row.due_h)}`;
+  const doubt = row.quality === "good" ? at : `${at}; ${row.quality}`;
   const wall = `${quantity(row.thickness_m, 1e3, 2, "mm")} (${interval}${doubt})`;
   /** @type {[string, string][]} */
   const values = [["Wall", row.thickness_m === null ? row.reason : wall]];
@@ -296,7 +298,7 @@ export class Tiles {
       ["Quality", feature?.quality ?? NONE],
     ];
     if (assessment?.diagnosis) values.unshift(["Diagnosis", diagnosisText(assessment)]);
-    if (state.last_wall) values.unshift(...wallValues(state.last_wall));
+    if (state.last_wall) values.unshift(...wallValues(state.last_wall, state.data_h));
     return this.body(state, figure, note, values);
   }
 
