@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +13,7 @@ from analysis.errors import AnalysisError, InvalidInputError
 from analysis.statistics.rules import AlarmRule
 from analysis.wall import posterior
 from analysis.wall.bank import Bank
-from analysis.wall.calibration import calibrate
+from analysis.wall.calibration import Calibration, calibrate
 from analysis.wall.thickness import (
     WallModel,
     WallThickness,
@@ -41,8 +42,19 @@ class Features(Protocol):
         ...
 
 
+MOST_KEPT = 32
+"""Transducers whose arrays, some 12 MB each, are kept from set to set: a thousand would take 12 GB."""
+
 OpenBank = Callable[[], tuple[Bank, FloatArray] | None]
 """Returns a bank and its changes by hypothesis (`posterior.predict_changes`); None: it is not built yet."""
+
+
+@dataclass(slots=True)
+class _Arrays:
+    """What is made again from the track where it is not kept."""
+
+    model: WallModel | None = None
+    last: tuple[WallTrack, posterior.WallState] | None = None
 
 
 class WallEstimator:
@@ -70,9 +82,8 @@ class WallEstimator:
         self._open_bank, self._rule, self.minimum_m = open_bank, rule, minimum_m
         self._baseline_id, self._is_first = baseline_id, is_first
         self._bank = open_bank()
-        self._model: WallModel | None = None
+        self._calibration: Calibration | None = None
         self._refused = ""
-        self._last: tuple[WallTrack, posterior.WallState] | None = None
 
     def add_set(
         self, track: WallTrack | None, baseline: Sequence[Features], features: Features, other_cause: str = ""
@@ -86,20 +97,23 @@ class WallEstimator:
         other_cause
             Diagnosis of the set, if not the wall: then it says nothing about the wall.
         """
-        if not self._refused and (self._model is None or track is None):
-            self._bank = self._bank or self._open_bank()
-            if self._bank is None:
-                return track, None
+        self._bank = self._bank or self._open_bank()
+        if self._bank is None:
+            return track, None
+        if not self._refused and (self._calibration is None or track is None):
             try:
-                track = self._begin(*self._bank, track, baseline)
+                track, self._calibration = self._begin(*self._bank, track, baseline)
             except AnalysisError as error:
                 self._refused = str(error)
-        if self._refused or track is None or self._model is None:
+        if self._refused or track is None or self._calibration is None:
             return track, WallThickness(quality="bad", reason=self._refused)
-        known, before = self._last or (None, None)
+        arrays = _find_arrays(self)
+        if arrays.model is None:
+            arrays.model = self._compare(*self._bank, self._calibration, track.start)
+        known, before = arrays.last or (None, None)
         before = before if known is track and before is not None else track.unpack()
         after, pool, found = estimate_thickness(
-            self._model,
+            arrays.model,
             before,
             track.pool,
             to_logs(features.values),
@@ -108,7 +122,7 @@ class WallEstimator:
         )
         packed = track.packed if after is before else pack(after)
         track = replace(track, packed=packed, pool=pool, alarm=update_alarm(track.alarm, found, self._rule))
-        self._last = track, after
+        arrays.last = track, after
         return track, found
 
     def _begin(
@@ -117,8 +131,8 @@ class WallEstimator:
         changes: FloatArray,
         track: WallTrack | None,
         baseline: Sequence[Features],
-    ) -> WallTrack:
-        """Calibrate to the baseline; return its track, the given one if it is of this baseline.
+    ) -> tuple[WallTrack, Calibration]:
+        """Return the track of the baseline, the given one if it is of this baseline, and the calibration.
 
         A track of an earlier baseline goes on from the loss that it has in the middle of this one. Raise
         AnalysisError if the baseline cannot be used, or the loss at a renewed one is not known.
@@ -139,12 +153,24 @@ class WallEstimator:
             state = replace(posterior.wait(stored, hour), slow=posterior.SlowDrift())
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id, start=find_start(state))
         if track.start is not None:
-            changes = begin_from(changes, track.start)
-            expected = expected - np.nanmedian(changes[:, 0], axis=0)
+            expected = expected - np.nanmedian(begin_from(changes, track.start)[:, 0], axis=0)
         history = np.array([to_logs(one.values) for one in baseline])
-        self._model = WallModel(
-            hypotheses=posterior.compare(calibrate(bank, history, expected), changes),
+        return track, calibrate(bank, history, expected)
+
+    def _compare(
+        self, bank: Bank, changes: FloatArray, calibration: Calibration, start: FloatArray | None
+    ) -> WallModel:
+        """Return what sets are compared with, from the losses of each hypothesis at the baseline."""
+        if start is not None:
+            changes = begin_from(changes, start)
+        return WallModel(
+            hypotheses=posterior.compare(calibration, changes),
             initial_m=bank.thickness_m,
             minimum_m=self.minimum_m,
         )
-        return track
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def _find_arrays(_: WallEstimator) -> _Arrays:
+    """Return the arrays of a transducer, empty where they are not kept."""
+    return _Arrays()

@@ -1,11 +1,13 @@
 """Wall thickness set after set: steps, renewed baselines, unused sets. The bank is the shipped one."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
 
 from analysis.statistics.rules import AlarmRule
+from analysis.wall import estimator as estimator_module
 from analysis.wall import posterior
 from analysis.wall.bank import FEATURES, load_bank
 from analysis.wall.estimator import WallEstimator
@@ -88,6 +90,24 @@ def test_near_sets_are_pooled_and_a_restart_at_any_set_gives_the_same_digits(ope
         found.append(thickness)
     sets_a_step = round(STEP_H / EVERY_H)
     assert [one is not None for one in found] == [k % sets_a_step == 0 for k in range(len(sets))]
+
+
+def test_arrays_that_are_not_kept_are_made_again_with_the_same_digits(opened, monkeypatch):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    sets = draw_sets(opened[0], np.linspace(0.0, 0.2, 6), 120.0, seed=5)
+    kept = follow(make_estimator(opened), baseline, sets)
+    few = lru_cache(maxsize=2)(lambda _: estimator_module._Arrays())
+    monkeypatch.setattr(estimator_module, "_find_arrays", few)
+    fleet = [make_estimator(opened) for _ in range(3)]
+    followed = [(None, []) for _ in fleet]
+    for one in sets:
+        for k, (track, found) in enumerate(followed):
+            after, thickness = fleet[k].add_set(track, baseline, one)
+            followed[k] = after, [*found, thickness]
+    for track, found in followed:
+        assert found == kept[1]
+        assert np.array_equal(track.packed, kept[0].packed)
+    assert few.cache_info().misses == len(fleet) * len(sets)
 
 
 def test_the_mean_of_a_pool_counts_at_the_hour_of_its_last_set():
