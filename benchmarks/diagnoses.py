@@ -162,7 +162,12 @@ def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
 
 
 def sets_of(
-    case: Case, level: str, model: str, seed: int, features: tuple[str, ...] = COMPONENTS
+    case: Case,
+    level: str,
+    model: str,
+    seed: int,
+    features: tuple[str, ...] = COMPONENTS,
+    after: int = AFTER,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return logarithms of each set and a confirmation set, shape (n, features), and the wall's depth."""
     chain, found, random = MODELS[model][0], model_slopes(model, features), np.random.default_rng(seed)
@@ -170,7 +175,7 @@ def sets_of(
     weather: Climate = draw_climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
     room, reseat = draw_room_temperature(drift, seed=seed), reseat_of(level, random, n)
     places, seats = [], []
-    for index in range(BASELINE + AFTER):
+    for index in range(BASELINE + after):
         hour_h = float(index)
         place, fault_k = source_values(case, case.part(index), reseat, n)
         warmer_k = room.at(hour_h) - drift.mean_temperature_c + fault_k
@@ -228,7 +233,7 @@ def diagnose_sets(
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
     causes: list[str] = []
-    for index in range(BASELINE, BASELINE + AFTER):
+    for index in range(BASELINE, len(logs)):
         memory = add_set(memory, design.mean, logs[index], index)
         state = update_alarm_state(state, bool(beyond[index]), RULE)
         diagnosis = diagnose_latest_set(memory, design, suspicious=state.active)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import bz2
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -31,13 +31,15 @@ LARGEST_VALID = 0.75
 RATES_PER_H = np.concatenate([[0.0], np.geomspace(1e-5, 1e-2, 14)])
 """Relative loss per hour: of a 6.35-mm wall 0.56 mm per year to 1.5 mm per day; slower ones lie between 0 and
 the smallest."""
-STILL = 0.05
-"""Prior probability of the rate 0; the others are equally likely."""
+STILL, TILT = 0.05, 0.5
+"""Prior probability of the rate 0; that of the others goes with this power of the rate: between equal ones on
+a scale of the logarithm and on one of the rate."""
 NEIGHBOR, REDRAWN, CHANGE_H = 0.8, 0.02, 17.0
 """Probabilities that the rate moves to a neighbor on its grid, or is drawn again, within `CHANGE_H`."""
-MEMORY_H = 150.0
-"""Correlation time of the slow drift that sets share (`Calibration.slow`)."""
-TEMPER = 0.6
+MEMORY_H, MONTHS = (150.0, 2500.0), 1.5
+"""Correlation times of the slow drift of days (`Calibration.slow`) and of that of months, and the variance of
+the latter in those of a set: healthy sets over a year at three levels of the twin, even seeds."""
+TEMPER = 0.8
 """Exponent of a set's likelihood."""
 FACTORS, SOLID_FACTORS = 3, 15
 """Draws of the discrepancy per curve of thin plates and of solids. A hypothesis is as likely as another one:
@@ -63,43 +65,48 @@ LEAST = 1e-4
 """Probability of a cell, of the largest one's, below which it is left out."""
 GRAINS = 51
 """Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
-HEAD = 6 + len(FEATURES)
+HEAD = 3 + 2 * (len(FEATURES) + 2) + 4
 """Numbers before the probabilities in a stored state."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlowDrift:
-    """Change of a sensor's features that consecutive sets share: a Kalman filter, in whitened units.
+    """Change of a sensor's features that later sets share: a Kalman filter, in whitened units.
 
-    A hypothesis estimates it by ``offset`` minus ``share`` times the change that it predicts at ``hour``.
+    It has two parts, the drift of days and that of months; the latter begins at 0 with the baseline.
 
     Attributes
     ----------
-    known
-        Fraction of its variance that the sets explain.
+    estimate
+        Weighted sums over the sets, shape (2, 7): of the whitened features, of 1, of the hour.
+    explained
+        Covariance of the two parts that is explained, shape (2, 2).
     """
 
-    offset: tuple[float, ...] = (0.0,) * len(FEATURES)
-    share: float = 0.0
-    hour: float = 0.0
-    known: float = 0.0
+    estimate: FloatArray = field(default_factory=lambda: np.zeros((2, len(FEATURES) + 2)))
+    explained: FloatArray = field(default_factory=lambda: np.diag([0.0, MONTHS]))
 
     def wait(self, hours: float) -> SlowDrift:
         """Return the estimate after some hours without a set."""
-        kept = math.exp(-hours / MEMORY_H)
-        offset = tuple(kept * value for value in self.offset)
-        return replace(self, offset=offset, share=kept * self.share, known=kept * kept * self.known)
-
-    def add(self, white: FloatArray, hour: float, gain: float) -> SlowDrift:
-        """Return the estimate after a set with these whitened features."""
-        share = (1.0 - gain) * self.share + gain
+        kept = np.exp(-hours / np.array(MEMORY_H))
         return SlowDrift(
-            offset=tuple(((1.0 - gain) * np.array(self.offset) + gain * white).tolist()),
-            share=share,
-            hour=((1.0 - gain) * self.share * self.hour + gain * hour) / share,
-            known=1.0 - (1.0 - gain) * (1.0 - self.known),
+            estimate=kept[:, None] * self.estimate, explained=np.outer(kept, kept) * self.explained
+        )
+
+    def compute_variance(self, slow: float) -> FloatArray:
+        """Return the covariance of the two parts, shape (2, 2); ``slow``: variance of the first one."""
+        return np.asarray(np.diag([slow, MONTHS]) - self.explained)
+
+    def add(self, white: FloatArray, hour: float, slow: float) -> SlowDrift:
+        """Return the estimate after a set with these whitened features."""
+        with_sum = self.compute_variance(slow).sum(axis=1)
+        variance = with_sum.sum() + 1.0 - slow
+        rest = np.array([*white.tolist(), 1.0, hour]) - self.estimate.sum(axis=0)
+        return SlowDrift(
+            estimate=self.estimate + np.outer(with_sum / variance, rest),
+            explained=self.explained + np.outer(with_sum, with_sum) / variance,
         )
 
 
@@ -109,7 +116,7 @@ class WallState:
 
     joint: NDArray[np.float32]
     hour: float
-    slow: SlowDrift = SlowDrift()
+    slow: SlowDrift = field(default_factory=SlowDrift)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,26 +225,28 @@ def add_set(
     window, moved = _move_on(state, hour)
     calibration, slow = hypotheses.calibration, state.slow.wait(hour - state.hour)
     set_white = (logs - calibration.mean) @ calibration.whitening
-    shared = calibration.slow * (1.0 - slow.known)
-    variance = shared + 1.0 - calibration.slow  # of the set about its prediction
+    # Variance of the set about its prediction.
+    variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
+    *offset, share, at = slow.estimate.sum(axis=0).tolist()
     of_row, column = np.nonzero(moved.any(axis=2) & np.isfinite(hypotheses.norm[:, window]))
     before = moved[of_row, column]
     if not before.any():  # each is past its curve: the set excludes none of them
         return wait(state, hour)
     white, loss = hypotheses.white.astype(np.float32), column + window.start
-    rest = (set_white - slow.offset).astype(np.float32) - white[of_row, loss]
+    rest = (set_white - offset).astype(np.float32) - white[of_row, loss]
     # What a hypothesis takes for the slow drift follows from its loss at an earlier hour.
-    cells = np.rint(np.minimum(RATES_PER_H * (hour - slow.hour) / LOSSES[1], len(LOSSES))).astype(int)
+    hours = hour - at / share if share else 0.0
+    cells = np.rint(np.minimum(RATES_PER_H * hours / LOSSES[1], len(LOSSES))).astype(int)
     evidence = np.empty((len(loss), len(RATES_PER_H)), dtype=np.float32)
     for passed in set(cells.tolist()):
-        unexplained = rest + np.float32(slow.share) * white[of_row, np.maximum(loss - passed, 0)]
+        unexplained = rest + np.float32(share) * white[of_row, np.maximum(loss - passed, 0)]
         squares = np.einsum("nf,nf->n", unexplained, unexplained) / np.float32(variance * calibration.dof)
         evidence[:, cells == passed] = np.log1p(squares)[:, None]
     evidence *= np.float32(-0.5 * exponent * (calibration.dof + len(FEATURES)))
     evidence -= evidence[before > 0.0].max()
     moved = np.zeros_like(moved)
     moved[of_row, column] = before * np.exp(np.minimum(evidence, 0.0))
-    return _keep(state, window, moved, hour, slow.add(set_white, hour, shared / variance))
+    return _keep(state, window, moved, hour, slow.add(set_white, hour, calibration.slow))
 
 
 def wait(state: WallState, hour: float) -> WallState:
@@ -306,7 +315,8 @@ def pack_state(state: WallState) -> bytes:
     window, slow = _find_window(state), state.slow
     by_loss = np.ascontiguousarray(_find_grains(state.joint[:, window]).transpose(2, 0, 1))
     steps = np.diff(by_loss, axis=2, prepend=np.uint8(0))  # neighbors are alike: that packs better
-    head = [len(state.joint), window.start, state.hour, slow.share, slow.hour, slow.known, *slow.offset]
+    parts = [*slow.estimate.ravel().tolist(), *slow.explained.ravel().tolist()]
+    head = [len(state.joint), window.start, state.hour, *parts]
     return bz2.compress(np.array(head).tobytes() + steps.tobytes())
 
 
@@ -314,13 +324,15 @@ def unpack_state(packed: bytes) -> WallState:
     """Return the state that `pack_state` packed; raise InvalidInputError for other bytes."""
     try:
         content = bz2.decompress(packed)
-        n, first, hour, share, at, known, *offset = np.frombuffer(content[: 8 * HEAD]).tolist()
+        n, first, hour, *parts = np.frombuffer(content[: 8 * HEAD]).tolist()
         steps = np.frombuffer(content, dtype=np.uint8, offset=8 * HEAD)
         steps = steps.reshape(len(RATES_PER_H), int(n), -1)
     except (OSError, ValueError) as error:
         raise InvalidInputError(f"{len(packed)} bytes are no state of a wall ({error})") from error
     grains = np.cumsum(steps, axis=2, dtype=np.uint8).transpose(1, 2, 0)
-    slow = SlowDrift(offset=tuple(offset), share=share, hour=at, known=known)
+    slow = SlowDrift(
+        estimate=np.array(parts[:-4]).reshape(2, -1), explained=np.array(parts[-4:]).reshape(2, 2)
+    )
     empty = np.zeros((int(n), len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
     window = slice(int(first), int(first) + steps.shape[2])
     return _spread(WallState(joint=empty, hour=hour, slow=slow), window, _to_probabilities(grains))
@@ -417,7 +429,8 @@ def _take_quantiles(ordered: FloatArray, weights: FloatArray) -> Quantiles:
     return Quantiles(low=low, median=median, high=high)
 
 
-_RATE_PRIOR = np.full(len(RATES_PER_H), (1.0 - STILL) / (len(RATES_PER_H) - 1))
+_RATE_PRIOR = RATES_PER_H**TILT
+_RATE_PRIOR *= (1.0 - STILL) / _RATE_PRIOR.sum()
 _RATE_PRIOR[0] = STILL
 _STEPS = np.eye(len(RATES_PER_H) - 1, k=1) + np.eye(len(RATES_PER_H) - 1, k=-1)
 _TO_NEIGHBOR = 0.5 * NEIGHBOR * np.pad(_STEPS, (1, 0))
