@@ -127,6 +127,12 @@ def draw_healthy_sets(bank: Bank, level: str, seed: int) -> FloatArray:
     return bank.sound + places @ slopes + NOISE * random.standard_normal((count, len(FEATURES)))
 
 
+def find_kind(bank: Bank, seed: int) -> str:
+    """Return the kind of wall of a sensor."""
+    names = sorted(set(bank.kinds))
+    return names[seed // 2 % len(names)]
+
+
 def choose(bank: Bank, chosen: FloatArray) -> Bank:
     """Return a bank of some of its curves."""
     at = np.flatnonzero(chosen).tolist()
@@ -150,8 +156,7 @@ def run_sensor(
 ) -> Iterator[Look | Forecast]:
     """Yield looks and forecasts of a sensor; its wall thins from so many hours before the baseline's end."""
     bank, random = load_bank(Path(file)), np.random.default_rng([seed, 5])
-    names = sorted(set(bank.kinds))
-    kind = names[seed // 2 % len(names)]
+    kind = find_kind(bank, seed)
     member = int(random.choice([k for k, one in enumerate(bank.kinds) if one == kind]))
     known = np.isfinite(bank.changes[member]).all(axis=1)
     reach = min(0.75, float(bank.losses[known][-1]))
@@ -281,6 +286,7 @@ def main() -> None:
     parser.add_argument("--levels", nargs="+", default=["laboratory", "workshop"], choices=list(NUISANCE))
     parser.add_argument("--left-out", nargs="+", default=["kind", "size"], choices=["kind", "size"])
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
+    parser.add_argument("--kinds", nargs="+", help="only sensors on walls of these kinds")
     parser.add_argument("--seeds", default="odd", choices=["odd", "even"])
     parser.add_argument("--current-from-start", action="store_true", help="thin in the baseline too")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
@@ -302,6 +308,8 @@ def main() -> None:
                 drawn: list[Look | Forecast] = []
                 for number in range(options.sensors):
                     seed = 2 * number + (options.seeds == "odd")
+                    if options.kinds and find_kind(bank, seed) not in options.kinds:
+                        continue
                     drawn += run_sensor(options.bank, level, left_out, method, seed, hours_before)
                     if (number + 1) % 50 == 0:
                         print(f"{level}, {left_out}, {method}: {number + 1} sensors", file=sys.stderr)
