@@ -425,6 +425,7 @@ def _collect_true_values(wall: Wall, strike: Strike, force: ShotForce) -> dict[s
         "psw_time_s": _to_si_or_nan(pulses.psw_time_us, 1e-6),
         "tof_s": _to_si_or_nan(pulses.tof_us, 1e-6),
         "amplitude_ratio": _to_si_or_nan(pulses.amplitude_ratio),
+        "dynamic_amplitude_ratio": _to_si_or_nan(pulses.dynamic_amplitude_ratio),
         "energy_residual": force.energy_residual,
     }
 

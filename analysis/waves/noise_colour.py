@@ -93,7 +93,7 @@ def find_noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: floa
     for upper_hz in BANDS_HZ:
         inside = min(powers2.size, math.floor(2.0 * n * record.step_s * min(upper_hz, 1e12)))
         power2 = float(powers2[:inside].sum()) / max(1, inside)
-        if inside >= FEWEST_COEFFICIENTS and power2 > _chance_mean_square(inside) * known2:
+        if inside >= FEWEST_COEFFICIENTS and power2 > chance_mean_square(inside) * known2:
             known2 = power2
         bands.append(known2)
     level = basis[:, :N_LEVEL] @ found[:N_LEVEL]
@@ -101,7 +101,7 @@ def find_noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: floa
     x -= np.repeat(level, record.block_samples)
     lags = max(1, min(round(LONGEST_MEMORY_S * record.block_samples / record.step_s), x.size // 4))
     sample2, memory = float(x @ x) / (x.size - N_LEVEL), _sum_squared_autocorrelation(x, lags)
-    if sample2 < _chance_mean_square(x.size / memory) * white2:
+    if sample2 < chance_mean_square(x.size / memory) * white2:
         sample2 = white2
     return _build_noise_colour(
         record, sample2, bands, level, memory, _sum_squared_autocorrelation(np.diff(x), lags) - 1.0
@@ -128,16 +128,22 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
 
 
 def wandering_noise_v(record: ReducedRecord, block_noise_v: float) -> float:
-    """Return the SD in V that noise gives the smoothed record around its quiet level.
+    """Return the SD in V that noise gives the smoothed record around its quiet level."""
+    return measure_wandering_noise(record, block_noise_v)[0]
+
+
+def measure_wandering_noise(record: ReducedRecord, block_noise_v: float) -> tuple[float, float]:
+    """Return the SD in V of noise in the smoothed record, and the variance of its means over that of halves.
 
     That of white noise with the block noise ``block_noise_v``; where means of two and of four blocks vary as
-    those of pink noise do, that of noise whose octaves go on like that, at most as pink noise.
+    those of pink noise do, that of noise whose octaves go on like that, at most as pink noise. The
+    second is 0.5 for white noise, 1 for pink noise.
     """
     white_v = block_noise_v / math.sqrt(record.smooth_blocks)
     fine2, mid2, coarse2 = (estimate_fine_noise(_average_blocks(record.blocks_v, n)) ** 2 for n in (1, 2, 4))
     low, high = RED_GROWTH
     if not (low * fine2 <= mid2 <= high * fine2 and coarse2 >= low * mid2 > 0.0):
-        return white_v
+        return white_v, 0.5
     growth = min(1.0, math.sqrt(coarse2 / fine2))
     first2 = coarse2 * growth ** math.log2(record.smooth_blocks / 4)
     octaves, of_level = (
@@ -145,7 +151,7 @@ def wandering_noise_v(record: ReducedRecord, block_noise_v: float) -> float:
     )
     # Each octave has half of the variance of such means; the quiet level wanders in those longer than itself.
     powers = [growth**k for k in range(octaves)]
-    return max(white_v, math.sqrt(0.5 * first2 * (sum(powers) + sum(powers[max(0, of_level) :]))))
+    return max(white_v, math.sqrt(0.5 * first2 * (sum(powers) + sum(powers[max(0, of_level) :])))), growth
 
 
 def _average_blocks(blocks_v: FloatArray, n: int) -> FloatArray:
@@ -198,7 +204,7 @@ def _median_variance(n: int, level: FloatArray, block2: float, slow2: float) -> 
     return 0.5 * math.pi * block2 / (near + 0.55) + max(0.0, slow2 - block2) / n
 
 
-def _chance_mean_square(n: float) -> float:
+def chance_mean_square(n: float) -> float:
     """Return the mean square of n unit normal values exceeded by chance in 1 % (Wilson and Hilferty)."""
     third = 2.0 / (9.0 * n)
     return (1.0 - third + CHANCE_SD * math.sqrt(third)) ** 3

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.waves.noise_colour import wandering_noise_v
+from analysis.waves.noise_colour import chance_mean_square, measure_wandering_noise
 from analysis.waves.pulses import Pulse
-from analysis.waves.record_reduction import MAD_TO_SD, STANDS_OUT, FloatArray, ReducedRecord
+from analysis.waves.record_reduction import MAD_TO_SD, STANDS_OUT, TOP_SMOOTHING_S, FloatArray, ReducedRecord
 
 STEP_S = 15e-6
 """Between points; each is a mean over `TOP_SMOOTHING_S`, so that nothing wider than 30 us falls between."""
@@ -60,11 +60,14 @@ class Outline:
         Standard deviation that noise gives each.
     stretch
         The ISW's width over that of the paper's chain, in whose time the points lie.
+    growth
+        Variance of a mean of the noise over that of half as long: 0.5 for white noise, 1 for pink noise.
     """
 
     points: FloatArray
     sd: float
     stretch: float = 1.0
+    growth: float = 0.5
 
 
 def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse, stretch: float = 1.0) -> Outline:
@@ -76,8 +79,8 @@ def sample_outline(record: ReducedRecord, isw: Pulse, psw: Pulse, stretch: float
     _fill_points(record, isw, FROM_ISW, stride, points[:N_ISW])
     _fill_points(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
-    noise_v = wandering_noise_v(record, record.block_noise_v)
-    return Outline(points=points, sd=noise_v / isw.amplitude_v, stretch=stretch)
+    noise_v, growth = measure_wandering_noise(record, record.block_noise_v)
+    return Outline(points=points, sd=noise_v / isw.amplitude_v, stretch=stretch, growth=growth)
 
 
 def _fill_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
@@ -109,19 +112,48 @@ def find_dissimilar_shots(outlines: Sequence[Outline], tofs_s: FloatArray) -> ND
     others = np.arange(n)
     if n > MOST_OTHERS:
         others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
-    distance = np.concatenate(
-        [_compute_row_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1
-    )
-    nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
+    distance, nearest = _compute_distances(table, others)
     typical = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
     limit = np.maximum(typical[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
     is_apart = (nearest > limit) & (nearest < math.inf)
+    # Where noise is pink, differences of independent noise show what its slow octaves hide.
+    growth = float(np.median([one.growth for one in outlines]))
+    if growth > 0.5:
+        _, white = _compute_distances(_whiten(table, growth), others)
+        noise2 = np.maximum(noise, np.median(noise)) ** 2
+        usual2 = np.partition(white, n // 2)[:, n // 2, None] ** 2
+        by_chance = np.array([[chance_mean_square(length)] for length in LENGTHS.tolist()])
+        most2 = np.maximum((1.0 + by_chance) * noise2, by_chance * usual2)
+        most2 += TIMES_USUAL**2 * np.maximum(0.0, usual2 - 2.0 * noise2)
+        is_apart |= (white**2 > most2) & (nearest > LEAST_APART) & (nearest < math.inf)
     is_apart[PSW:] &= _find_comparable_shots(tofs_s, others)
     unlike = np.asarray(is_apart.any(axis=0))
     early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
     if early.size:
         unlike[_find_early_shots(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
     return unlike
+
+
+def _whiten(table: FloatArray, growth: float) -> FloatArray:
+    """Return outlines, shape (n, 57), whose parts have independent noise of the same SD as before."""
+    span_s = N_POINTS * STEP_S
+    hertz = np.arange(1.0, 2.0 * span_s / TOP_SMOOTHING_S) / span_s
+    powers = hertz ** -(1.0 + math.log2(growth)) * np.sinc(hertz * TOP_SMOOTHING_S) ** 2
+    apart_s = STEP_S * np.arange(LENGTHS.max())
+    lags = np.cos(2.0 * np.pi * apart_s[:, None] * hertz) @ powers / powers.sum()
+    whitened = table.copy()
+    for begin, length in zip(BEGINS.tolist(), LENGTHS.tolist(), strict=True):
+        steps = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+        part = table[:, begin : begin + length]
+        whitened[:, begin : begin + length] = np.linalg.solve(np.linalg.cholesky(lags[steps]), part.T).T
+    return whitened
+
+
+def _compute_distances(table: FloatArray, others: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Compute RMS differences of all rows from the rows ``others``, by part, and the third smallest."""
+    rows = range(0, len(table), ROWS_AT_ONCE)
+    distance = np.concatenate([_compute_row_distances(table, k, others) for k in rows], axis=1)
+    return distance, np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
 
 
 def _compute_row_distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:

@@ -390,6 +390,8 @@ def _check_extra_pulses(
             continue
         if psw is None and time_s > isw.time_s + settings.psw_latest_s:
             continue  # a reflected wave that came too late looks like a second strike
+        if psw is not None and time_s > psw.time_s + settings.second_strike_latest_s:
+            continue
         if psw is None or abs(time_s - psw.time_s) > settings.merged_distance_s:
             double = double or strong
             stray = stray or (not strong and (psw is None or time_s < psw.time_s))

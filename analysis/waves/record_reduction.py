@@ -90,6 +90,8 @@ class ExtractionSettings:
     """After the PSW: what the second strike came after the first, and more since smaller waves are slower."""
     second_reflection_latest_tof_s: float = 480e-6
     """Beyond, a thinned patch itself sends waves at that time, and a second strike comes before the PSW."""
+    second_strike_latest_s: float = 1.0
+    """After the PSW: a later wave may be a pressed chain that opened and closes again."""
     double_above_amplitude_ratio: float = 0.97
     """No wall sends back more than a rigid one does (.92): a PSW above this is a second strike."""
     double_valley_fraction: float = 0.05

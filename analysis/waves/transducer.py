@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from analysis.waves.record_reduction import USUAL_FWHM_S, ExtractionSettings, minimum_after_isw_s
 
 FREE_FALL_M_PER_S2 = 9.81
-GREATEST_INELASTICITY, LEAST_RATIO, LEAST_TOF_WIDTHS = 0.7, 0.2, 2.5
+GREATEST_INELASTICITY, LEAST_RATIO, LEAST_TOF_WIDTHS, GREATEST_PRECOMPRESSION = 0.7, 0.2, 2.5, 2.0
 """Beyond the first the plate swallows the wave. A reflection of the second is twice the weakest that counts.
-The two waves, each of which reaches 1.1 widths beyond its middle, must be that many widths apart."""
+The two waves, each of which reaches 1.1 widths beyond its middle, must be the third of widths apart. A chain
+pressed by more than the last, times the wave's force, has no solitary waves."""
 SPHERE_SENSOR_WIDTH = 1.14
 """Width of the wave at a sphere as the sensor over that at a disk, whose contacts are stiffer (twin)."""
 DASHPOT_WIDENS = 1.1
@@ -25,6 +26,9 @@ TOF_WIDTHS, TOF_WIDTHS_PER_SPHERE = 4.9, 1.1
 """Time of flight over wave width at a rigid wall, four spheres below the sensor; each one more, passed twice,
 adds 2.36 (m^2 / (A^2 v))^(1/5) (Nesterenko's theory and the twin)."""
 PAPER_ISW_N = 151.0
+CLOSING_WIDTHS = 0.4
+"""The reflected wave opens a pressed chain at its top. The precompression closes it after that many widths or
+more, over precompression over ISW (twin), and the next wave comes down to the sensor."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +42,7 @@ class ChainDescription:
     mass_kg: float = 28.2e-3
     youngs_modulus_pa: float = 200e9
     poisson_ratio: float = 0.3
+    spheres_above: int = 4
     spheres_below: int = 4
     sensor_is_disk: bool = True
     drop_height_m: float = 5e-3
@@ -68,6 +73,11 @@ class ChainDescription:
         return math.pow(self.mass_kg**3 * self.stiffness_n_per_m15**2 * self.speed_m_per_s**6, 0.2)
 
     @property
+    def precompression_ratio(self) -> float:
+        """Return the precompression over the incident wave's height."""
+        return self.precompression_n / (PAPER_ISW_N * self.wave_force_n / PAPER.wave_force_n)
+
+    @property
     def tof_widths(self) -> float:
         """Return the shortest time of flight, from a rigid wall, over the incident wave's width."""
         return TOF_WIDTHS + TOF_WIDTHS_PER_SPHERE * (self.spheres_below - PAPER.spheres_below)
@@ -84,7 +94,7 @@ def settings_of_chain(chain: ChainDescription, **given: float) -> ExtractionSett
     width_s = given.pop("isw_fwhm_s", USUAL_FWHM_S * (chain.wave_time_s / PAPER.wave_time_s))
     usual = ExtractionSettings.for_width(width_s)
     later_s = (chain.tof_widths - PAPER.tof_widths) * width_s
-    pressed = chain.precompression_n / (PAPER_ISW_N * chain.wave_force_n / PAPER.wave_force_n)
+    pressed = chain.precompression_ratio
     derived = {
         "psw_earliest_s": usual.psw_earliest_s * (chain.tof_widths / PAPER.tof_widths),
         "psw_latest_s": usual.psw_latest_s + later_s,
@@ -93,6 +103,11 @@ def settings_of_chain(chain: ChainDescription, **given: float) -> ExtractionSett
         "second_reflection_latest_tof_s": usual.second_reflection_latest_tof_s + later_s,
         "deepest_pull_fraction": usual.deepest_pull_fraction + pressed,
     }
+    if pressed:
+        widths = TOF_WIDTHS_PER_SPHERE * (chain.spheres_above - 1) + CLOSING_WIDTHS / pressed
+        derived["second_strike_latest_s"] = min(usual.second_strike_latest_s, widths * width_s)
+        # It stays in contact with the plate, whose own waves would look like a second strike's reflection.
+        derived["second_reflection_latest_s"] = usual.second_reflection_earliest_s
     return replace(usual, **(derived | given))
 
 
@@ -128,6 +143,11 @@ def find_obstacles(
         found.append(
             f"the reflected wave follows the incident one after {chain.tof_widths:.1f} of its widths, below "
             f"{LEAST_TOF_WIDTHS}: they overlap; put more spheres below the sensor"
+        )
+    if not chain.precompression_ratio <= GREATEST_PRECOMPRESSION:
+        found.append(
+            f"the precompression is {chain.precompression_ratio:.1f} times the incident wave's force, above "
+            f"{GREATEST_PRECOMPRESSION:g}: the wave spreads; press less"
         )
     if not after_trigger_s >= needed_s:
         found.append(

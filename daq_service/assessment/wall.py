@@ -15,22 +15,20 @@ from analysis.waves.features import EXTRACTOR_VERSION
 from analysis.waves.record_reduction import FloatArray
 from daq_service.alarms.states import Condition
 from daq_service.assessment.baseline_lifecycle import BaselineRange
-from daq_service.assessment.wall_bank import open_bank
+from daq_service.assessment.wall_bank import Kind, list_bank_arguments, open_bank
 from daq_service.catalogue.rows import WallRow
 from daq_service.settings.tree import PositionSettings
 from hardware_drivers.measurement import DueSet
-from simulator.parameters.chain import ChainParameters
-from simulator.parameters.plate import PlateParameters
 
 FORMULA = "P(wall < limit): posterior of loss and rate over the wall curves of the twin"
 
 
 @lru_cache(maxsize=8)
-def _open_changes(chain: ChainParameters, plate: PlateParameters) -> tuple[Bank, FloatArray]:
+def _open_changes(kind: Kind) -> tuple[Bank, FloatArray]:
     """Return a bank and its changes; transducers of one kind share them. LookupError: it is not built yet."""
-    bank = open_bank(chain, plate)
+    bank = open_bank(*kind)
     if bank is None:
-        raise LookupError("no bank of this chain and plate")
+        raise LookupError("no bank of this kind")
     return bank, predict_changes(bank)
 
 
@@ -40,7 +38,7 @@ def build_wall_estimator(place: PositionSettings, rule: AlarmRule, baseline: Bas
     def find_bank() -> tuple[Bank, FloatArray] | None:
         """Return the bank and its changes, None as long as it is not built."""
         try:
-            return _open_changes(place.chain, place.plate)
+            return _open_changes(list_bank_arguments(place))
         except LookupError:
             return None
 

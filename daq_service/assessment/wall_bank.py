@@ -51,6 +51,7 @@ from simulator.parameters.plate import (
 from simulator.plate.mindlin import patches
 
 if TYPE_CHECKING:
+    from daq_service.settings.tree import PositionSettings
     from simulator.shot.model import ShotForce, ShotModel
 
 log = logging.getLogger(__name__)
@@ -84,11 +85,13 @@ class NoiseFreeRecorder:
     adc: AdcParameters = field(default_factory=AdcParameters)
     extraction: ExtractionSettings = field(default_factory=ExtractionSettings)
     tilt_loss_per_rad: float = SensorParameters().tilt_loss_per_rad
+    waves: tuple[tuple[str, float], ...] = ()
+    """Keys of ``[positions.NAME.waves]`` that have priority over what follows from the chain, and values."""
     names: tuple[str, ...] = FEATURES
 
     def for_chain(self, chain: ChainParameters) -> NoiseFreeRecorder:
         """Return the recorder with the extraction of a chain."""
-        return replace(self, extraction=settings_of_chain(describe_chain(chain)))
+        return replace(self, extraction=settings_of_chain(describe_chain(chain), **dict(self.waves)))
 
     def log_features(self, force: ShotForce, tilt_rad: float = MEAN_TILT_RAD) -> FloatArray:
         """Return the logarithms of the named features of a shot; NaN without a reflected wave."""
@@ -110,6 +113,15 @@ class NoiseFreeRecorder:
 
 
 RECORDER = NoiseFreeRecorder()
+Kind = tuple[ChainParameters, PlateParameters, NoiseFreeRecorder]
+"""Arguments of `open_bank` and `build_bank`."""
+
+
+def list_bank_arguments(place: PositionSettings) -> Kind:
+    """Return what determines the bank of a position."""
+    # Without flags, the allowed pull moves no curve.
+    waves = place.waves.model_dump(exclude_none=True, exclude={"deepest_pull_fraction"})
+    return place.chain, place.plate, replace(RECORDER, waves=tuple(sorted(waves.items())))
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,7 +320,7 @@ def compute_digest(chain: ChainParameters, plate: PlateParameters, recorder: Noi
         "sensor": recorder.tilt_loss_per_rad,
         "digitizer": (adc.sample_rate_hz, adc.record_samples, adc.pretrigger_samples),
         "versions": (TWIN_VERSION, EXTRACTOR_VERSION, BANK_VERSION),
-    }
+    } | ({"waves": recorder.waves} if recorder.waves else {})
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
 

@@ -8,22 +8,19 @@ import os
 from collections.abc import Callable, Sequence
 from multiprocessing.process import BaseProcess
 
-from daq_service.assessment.wall_bank import build_bank, open_bank, store_bank
+from daq_service.assessment.wall_bank import Kind, build_bank, open_bank, store_bank
 from daq_service.background.task import BackgroundTask
 from daq_service.processes.installation import MissingExtraError, require_extras
 from daq_service.processes.worker import leave_with_parent
-from simulator.parameters.chain import ChainParameters
-from simulator.parameters.plate import PlateParameters
 
 log = logging.getLogger(__name__)
 
-Kind = tuple[ChainParameters, PlateParameters]
 LOW_PRIORITY = 10
 """Increment of a process's niceness: a set always comes first."""
 
 
 def build_missing_banks(kinds: Sequence[Kind]) -> None:
-    """Build and store the banks of these chains and plates; for a process of its own, with low priority."""
+    """Build and store the banks of these kinds; for a process of its own, with low priority."""
     leave_with_parent()
     if hasattr(os, "nice"):
         os.nice(LOW_PRIORITY)
@@ -37,7 +34,7 @@ class WallCurves(BackgroundTask):
     Parameters
     ----------
     kinds
-        Chain and plate of each transducer.
+        That of each transducer's bank.
     build
         Builds the missing ones, in another process.
     """

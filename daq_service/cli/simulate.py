@@ -68,7 +68,7 @@ def print_simulation(
             replace(specimen[2], depth_fraction=depth)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    adc = settings.twin.adc
+    adc, place = settings.twin.adc, settings.positions[position] if position else None
     after_trigger_s = (adc.record_samples - adc.pretrigger_samples) / adc.sample_rate_hz
     if sweeps or sweep_file is not None or (depths is not None and options["outputs"]):
         from daq_service.cli.sweep.command import SweepRequest, print_sweep  # a single shot needs no tables
@@ -88,6 +88,7 @@ def print_simulation(
             configuration_hash=settings.configuration_hash(),
             position=position,
             after_trigger_s=after_trigger_s,
+            place=place,
             strict=strict,
             **options,
         )
@@ -99,7 +100,7 @@ def print_simulation(
         )
         raise UsageError(f"{option} belongs to a sweep: give --sweep KEY=VALUES, too")
     rows = _compute_shots(model, specimen, grid, is_table=depths is not None)
-    found = [find_shot_warnings(specimen[0], row, after_trigger_s) for row in rows]
+    found = [find_shot_warnings(specimen[0], row, after_trigger_s, place) for row in rows]
     if as_json:
         shots = [{**row, "warnings": texts} for row, texts in zip(rows, found, strict=True)]
         click.echo(json.dumps(shots[0] if depths is None else {"shots": shots}))

@@ -18,6 +18,7 @@ from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import extract_anchors
 from daq_service.assessment.results_in_file import read_newest_results
+from daq_service.assessment.wall_bank import list_bank_arguments
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
@@ -227,7 +228,7 @@ def _build_wall_curves(bare: Resources) -> list[BackgroundTask]:
     places = [bare.settings.positions[name] for name in bare.settings.list_positions(SOLITARY_WAVE)]
     if bare.rig.dry_run or bare.settings.clock.kind != "wall":
         return []
-    return [WallCurves([(place.chain, place.plate) for place in places])]
+    return [WallCurves([list_bank_arguments(place) for place in places])]
 
 
 def _store_rebuilt_event(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:

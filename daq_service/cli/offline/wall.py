@@ -16,7 +16,7 @@ from analysis.wall import posterior
 from analysis.wall.bank import ESTIMAND, FEATURES, Bank
 from analysis.wall.calibration import calibrate
 from analysis.wall.thickness import Pool, WallModel, WallThickness, estimate_thickness
-from daq_service.assessment.wall_bank import build_bank, open_bank, store_bank
+from daq_service.assessment.wall_bank import build_bank, list_bank_arguments, open_bank, store_bank
 from daq_service.cli.offline.table_file import TableFile, read_table
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
@@ -72,10 +72,11 @@ def run_wall(
         raise UsageError(
             f"a minimum wall of {minimum_m} m must be below plate.thickness_m = {place.plate.thickness_m} m"
         )
-    bank = open_bank(place.chain, place.plate)
+    kind = list_bank_arguments(place)
+    bank = open_bank(*kind)
     if bank is None:
         try:
-            bank = build_bank(place.chain, place.plate, progress=_print_progress)
+            bank = build_bank(*kind, progress=_print_progress)
         except (SimulatorError, InvalidInputError) as error:
             raise UsageError(f"no wall curves for the chain and plate of {name}: {error}") from error
         store_bank(bank)

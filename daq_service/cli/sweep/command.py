@@ -20,6 +20,7 @@ from daq_service.cli.sweep.table import SweepTable
 from daq_service.errors import UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.executors import count_usable_cores, validate_executor_name
+from daq_service.settings.tree import PositionSettings
 
 ROWS_FOR_PROCESSES = {"coupled": 1000, "zener": 150}
 """Fewer rows are done by threads before processes have started (`python benchmarks/sweep_speed.py`)."""
@@ -42,6 +43,8 @@ class SweepRequest:
         Those of them that an option gives.
     after_trigger_s
         Length of a record after its trigger, for warnings.
+    place
+        The position, whose ``waves`` keys count for the warnings; None: there is none.
     strict
         Make warnings errors.
     """
@@ -55,6 +58,7 @@ class SweepRequest:
     configuration_hash: str
     position: str | None
     after_trigger_s: float
+    place: PositionSettings | None
     strict: bool
     element_wise: bool
     skip_invalid: bool
@@ -114,7 +118,10 @@ def print_sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> No
     results = zip(*(values.tolist() for values in table.results.values()), strict=True)
     found = [
         find_shot_warnings(
-            row.specimen[0], dict(zip(table.results, numbers, strict=True)), request.after_trigger_s
+            row.specimen[0],
+            dict(zip(table.results, numbers, strict=True)),
+            request.after_trigger_s,
+            request.place,
         )
         for row, numbers, status in zip(plan.rows, results, table.status, strict=True)
         if row.specimen is not None and status in (OK, NO_REFLECTION)

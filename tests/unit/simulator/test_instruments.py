@@ -327,6 +327,7 @@ def assert_is_simulated(truth, force):
         "psw_time_s": 1e-6 * pulses.psw_time_us,
         "tof_s": 1e-6 * pulses.tof_us,
         "amplitude_ratio": pulses.amplitude_ratio,
+        "dynamic_amplitude_ratio": pulses.dynamic_amplitude_ratio,
     }
     # The requirement is 1e-6; the same numbers go in, so rounding alone is left.
     for name, value in expected.items():

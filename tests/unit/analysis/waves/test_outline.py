@@ -1,11 +1,15 @@
 """Shots compared with the others of their set, and of files of one or many walls."""
 
+import math
+
 import numpy as np
 import pytest
 from support.synthetic_records import Scene, cos4
 
+from analysis.waves import outline
 from analysis.waves.features import extract_from_volts
 from analysis.waves.outline import FEWEST
+from analysis.waves.record_reduction import TOP_SMOOTHING_S
 from analysis.waves.template import compare_with_others, learn_template
 
 SCENE = Scene(noise_fraction=0.03)
@@ -120,3 +124,21 @@ def test_a_long_file_is_compared_with_a_part_of_it(monkeypatch):
     monkeypatch.setattr("analysis.waves.outline.MOST_OTHERS", 8)
     odd = foreign(330e-6, 0.12, 200e-6)
     assert flags_of([*clean(10), odd, *clean(10, first=20)]) == [()] * 10 + [DISTURBED] + [()] * 10
+
+
+@pytest.mark.parametrize("growth", [1.0, 0.8])
+def test_whitened_outlines_have_independent_noise_of_the_same_sd(growth):
+    n = 20 * outline.N_POINTS
+    spectrum = np.fft.rfft(np.random.default_rng(1).standard_normal((2_000, n)))
+    cycles = np.arange(n // 2 + 1) / outline.N_POINTS
+    spectrum[:, 0] = 0.0
+    spectrum[:, 1:] *= cycles[1:] ** (-0.5 * (1.0 + math.log2(growth)))
+    spectrum *= np.sinc(cycles * TOP_SMOOTHING_S / outline.STEP_S)
+    noise = np.fft.irfft(spectrum)[:, :: n // outline.N_POINTS]
+    noise /= noise.std()
+    white = outline._whiten(noise, growth)
+    for begin, length in zip(outline.BEGINS, outline.LENGTHS, strict=True):
+        part = slice(begin, begin + length)
+        before, after = (np.corrcoef(one[:, part].T) - np.eye(length) for one in (noise, white))
+        assert np.abs(after).max() < 0.3 * np.abs(before).max()
+        assert white[:, part].std() == pytest.approx(1.0, rel=0.15)

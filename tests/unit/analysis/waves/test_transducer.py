@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.synthetic_records import Scene, waveform_of
+from support.synthetic_records import Scene, cos4, waveform_of
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.features import extract_features, extract_from_volts
@@ -54,6 +54,17 @@ def test_a_pressed_chain_may_let_go_of_its_precompression():
     )
 
 
+@pytest.mark.parametrize(("precompression_n", "twin_s"), [(20.0, 545e-6), (50.0, 375e-6)])
+def test_a_pressed_chain_that_closes_again_is_no_second_strike(precompression_n, twin_s):
+    pressed = settings_of_chain(replace(PAPER, precompression_n=precompression_n))
+    assert 0.7 * twin_s < pressed.second_strike_latest_s < twin_s
+    scene = Scene(noise_fraction=0.01)
+    third_s = scene.isw_time_s + scene.tof_s + twin_s
+    late = scene.volts(3) + 0.3 * scene.isw_v * cos4(scene.time_s(), third_s)
+    assert "double" in extract_features(waveform_of(late)).flags
+    assert extract_features(waveform_of(late), pressed).flags == ()
+
+
 def test_given_values_have_priority_over_the_chain():
     settings = settings_of_chain(HALF, isw_fwhm_s=40e-6, psw_latest_s=600e-6)
     assert (settings.isw_fwhm_s, settings.psw_latest_s) == (40e-6, 600e-6)
@@ -92,6 +103,7 @@ def test_a_record_that_is_too_coarse_is_refused_in_its_own_time():
         ({}, {"inelasticity": 0.71}, r"inelasticity is 0\.71, above 0\.7"),
         ({}, {"amplitude_ratio": 0.19}, r"amplitude ratio is 0\.19, below 0\.2"),
         ({"spheres_below": 1}, {}, r"after 1\.6 of its widths, below 2\.5"),
+        ({"precompression_n": 330.0}, {}, r"precompression is 2\.2 times .* above 2: .* press less"),
         ({}, {"after_trigger_s": 400e-6}, "lasts 400 us after its trigger, below 509 us"),
     ],
 )

@@ -17,12 +17,14 @@ from daq_service.assessment.wall_bank import (
     build_bank,
     compute_digest,
     compute_mean_loss,
+    list_bank_arguments,
     list_members,
     open_bank,
     store_bank,
 )
 from daq_service.processes.installation import MODULES, MissingExtraError
 from daq_service.settings.file import find_config_file, load_settings
+from daq_service.settings.tree import WaveSettings
 from hardware_drivers.methods import SOLITARY_WAVE
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PatchParameters, PlateParameters, SolidMesh
@@ -200,6 +202,22 @@ def test_the_digest_is_of_what_determines_the_curves():
         (CHAIN, PLATE, replace(RECORDER, adc=replace(RECORDER.adc, sample_rate_hz=5e6))),
     ]
     assert len({digest, *(compute_digest(*other) for other in others)}) == 1 + len(others)
+
+
+def test_keys_of_a_position_that_override_its_chain_determine_its_curves():
+    place = next(iter(load_settings(None).positions.values()))
+
+    def arguments(**keys):
+        return list_bank_arguments(place.model_copy(update={"waves": WaveSettings(**keys)}))
+
+    plain = compute_digest(place.chain, place.plate, RECORDER)
+    assert compute_digest(*arguments()) == plain
+    assert compute_digest(*arguments(deepest_pull_fraction=0.2)) == plain, "it moves no curve"
+    chain, plate, recorder = arguments(isw_fwhm_s=70e-6, psw_latest_s=800e-6)
+    extraction = recorder.for_chain(chain).extraction
+    assert (extraction.isw_fwhm_s, extraction.psw_latest_s) == (70e-6, 800e-6)
+    both, one = compute_digest(chain, plate, recorder), compute_digest(*arguments(isw_fwhm_s=70e-6))
+    assert len({plain, both, one}) == 3
 
 
 def test_a_stored_bank_is_found_again_and_a_corrupt_one_is_reported(shipped, tmp_path, caplog):

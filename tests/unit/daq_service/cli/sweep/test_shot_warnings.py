@@ -1,6 +1,7 @@
 """Warnings about a shot name value, limit and remedy; `--strict` makes them errors."""
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,8 @@ from support.command_line import solimon_here
 
 from daq_service.cli.sweep.shot import RESULTS, compute_rows
 from daq_service.cli.sweep.shot_warnings import find_shot_warnings, summarise_warnings
+from daq_service.settings.file import find_config_file
+from daq_service.settings.tree import PositionSettings
 from simulator.chain.contact_pressure import peak_pressures_pa, yield_pressures_pa
 from simulator.parameters.chain import ChainParameters, SphereParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -62,6 +65,24 @@ def test_a_sound_shot_and_one_without_reflection_have_no_warning(missing):
     assert find_shot_warnings(CHAIN, SOUND, LONG_S) == []
     no_wave = SOUND | {"amplitude_ratio": missing, "dynamic_amplitude_ratio": missing}
     assert find_shot_warnings(CHAIN, no_wave, LONG_S) == []
+
+
+def test_keys_of_the_position_count_for_its_own_chain():
+    place = PositionSettings(method="solitary_wave", waves={"isw_fwhm_s": 129.4e-6})
+    (text,) = find_shot_warnings(CHAIN, SOUND, 900e-6, place)
+    assert "below 1019 us" in text
+    assert find_shot_warnings(replace(CHAIN, drop_height_m=6e-3), SOUND, 900e-6, place) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "count"), [((), ""), (("--sweep", "chain.drop_height_m=0.005,0.006"), "1 of 2 shots; ")]
+)
+def test_keys_of_the_position_count_in_simulated_shots(arguments, count, tmp_path):
+    config = tmp_path / "wide.toml"
+    wide = "[positions.B.waves]\nisw_fwhm_s = 2e-4\n"
+    config.write_text(find_config_file("simulated.toml").read_text(encoding="utf-8") + wide, encoding="utf-8")
+    shown = simulate(str(config), "--position", "B", *arguments).stderr
+    assert re.search(f"WARNING: {count}.*the record lasts .* below 1575 us", shown)
 
 
 def test_warnings_of_many_shots_are_counted_by_kind():
