@@ -43,8 +43,14 @@ def run_sensor(level: str, seed: int) -> dict[str, float]:
     causes = diagnose_sets(HEALTHY, level, model, seed, *of_diagnosis)["causes"]
     logs = bank.sound + sets[0][:, OF_POSTERIOR]
     hypotheses = posterior.compare(calibrate(bank, logs[:BASELINE]), changes)
-    wall = WallModel(hypotheses=hypotheses, initial_m=bank.thickness_m)
-    state, pool = posterior.begin(len(changes), 0.5 * (BASELINE - 1)), Pool()
+    middle_h = 0.5 * (BASELINE - 1)
+    wall = WallModel(
+        hypotheses=hypotheses,
+        curves=posterior.list_curves(bank),
+        initial_m=bank.thickness_m,
+        baseline_h=middle_h,
+    )
+    state, pool = posterior.begin(len(changes), middle_h), Pool()
     alarms = dict.fromkeys(LOSSES, AlarmState())
     found = dict.fromkeys([str(loss) for loss in LOSSES], 0.0) | {"steps": 0.0, "excluded": 0.0, "bad": 0.0}
     found["unused"] = float(sum(cause in OTHERS for cause in causes))

@@ -57,7 +57,9 @@ def exceedances(sets: FloatArray, causes: list[str], loss: float) -> list[float]
     bank, changes = shipped()
     wall = WallModel(
         hypotheses=posterior.compare(calibrate(bank, sets[:BASELINE]), changes),
+        curves=posterior.list_curves(bank),
         initial_m=bank.thickness_m,
+        baseline_h=0.5 * (BASELINE - 1),
         minimum_m=bank.thickness_m * (1.0 - loss),
     )
     state, pool = posterior.begin(len(changes), 0.5 * (BASELINE - 1)), Pool()

@@ -109,7 +109,9 @@ class WallEstimator:
             return track, WallThickness(quality="bad", reason=self._refused)
         arrays = _find_arrays(self)
         if arrays.model is None:
-            arrays.model = self._compare(*self._bank, self._calibration, track.start)
+            arrays.model = self._compare(
+                *self._bank, self._calibration, track.start, _compute_middle_h(baseline)
+            )
         known, before = arrays.last or (None, None)
         before = before if known is track and before is not None else track.unpack()
         after, pool, found = estimate_thickness(
@@ -137,7 +139,7 @@ class WallEstimator:
         A track of an earlier baseline goes on from the loss that it has in the middle of this one. Raise
         AnalysisError if the baseline cannot be used, or the loss at a renewed one is not known.
         """
-        expected, hour = bank.sound, float(np.mean([one.due_h for one in baseline]))
+        expected, hour = bank.sound, _compute_middle_h(baseline)
         if track is None and not self._is_first:
             raise InvalidInputError("the loss at the renewed baseline is not known: measure the wall")
         if track is None:
@@ -158,14 +160,21 @@ class WallEstimator:
         return track, calibrate(bank, history, expected)
 
     def _compare(
-        self, bank: Bank, changes: FloatArray, calibration: Calibration, start: FloatArray | None
+        self,
+        bank: Bank,
+        changes: FloatArray,
+        calibration: Calibration,
+        start: FloatArray | None,
+        baseline_h: float,
     ) -> WallModel:
         """Return what sets are compared with, from the losses of each hypothesis at the baseline."""
         if start is not None:
             changes = begin_from(changes, start)
         return WallModel(
             hypotheses=posterior.compare(calibration, changes),
+            curves=posterior.list_curves(bank),
             initial_m=bank.thickness_m,
+            baseline_h=baseline_h,
             minimum_m=self.minimum_m,
         )
 
@@ -174,3 +183,8 @@ class WallEstimator:
 def _find_arrays(_: WallEstimator) -> _Arrays:
     """Return the arrays of a transducer, empty where they are not kept."""
     return _Arrays()
+
+
+def _compute_middle_h(baseline: Sequence[Features]) -> float:
+    """Return the mean hour of the sets of a baseline."""
+    return float(np.mean([one.due_h for one in baseline]))

@@ -185,8 +185,25 @@ def predict_changes(
     factors[:, 0, :OF_WALL] = np.exp(factor_sd * normal[:, :-1])
     shift = np.zeros((SOLID_FACTORS, len(LOSSES), len(FEATURES)))
     shift[..., AR] = ratio_sd * normal[:, -1:] * LOSSES / 0.5
-    draws = [SOLID_FACTORS if model == "solid" else FACTORS for model in bank.models]
-    return np.concatenate([curve * factors[:n] + shift[:n] for curve, n in zip(curves, draws, strict=True)])
+    draws = zip(curves, _count_draws(bank), strict=True)
+    return np.concatenate([curve * factors[:n] + shift[:n] for curve, n in draws])
+
+
+def _count_draws(bank: Bank) -> list[int]:
+    """Return the number of draws of each curve."""
+    return [SOLID_FACTORS if model == "solid" else FACTORS for model in bank.models]
+
+
+def list_curves(bank: Bank) -> tuple[str, ...]:
+    """Return the name of the curve of each hypothesis, in their order."""
+    return tuple(np.repeat(bank.names, _count_draws(bank)).tolist())
+
+
+def find_likeliest_curve(state: WallState, curves: tuple[str, ...]) -> str:
+    """Return the name of the curve that is most probable in all its hypotheses (`list_curves`)."""
+    names, index = np.unique(curves, return_inverse=True)
+    weights = np.bincount(index, state.joint.sum(axis=(1, 2), dtype=np.float64))
+    return str(names[weights.argmax()])
 
 
 def compare(calibration: Calibration, changes: FloatArray) -> Hypotheses:
@@ -296,6 +313,19 @@ def _spread_hours(loss: float) -> tuple[FloatArray, NDArray[np.intp]]:
         hours = np.where(left == 0.0, 0.0, left / (RATES_PER_H[:, None] * step)[:, None, :])
     order = np.argsort(hours, axis=None, kind="stable")
     return hours.ravel()[order], order // (len(_SPREAD) * len(step))
+
+
+def predict_loss(state: WallState, hours: float) -> Quantiles:
+    """Return the loss of wall some hours after the state's set, at most the complete wall.
+
+    The rate stays as it is.
+    """
+    weights = state.joint.sum(axis=0, dtype=np.float64)
+    loss, rate = np.nonzero(weights)
+    rates = RATES_PER_H[rate, None] * (RATES_PER_H[2] / RATES_PER_H[1]) ** _IN_CELL
+    later = (LOSSES[loss, None] * _SPREAD)[:, :, None] + hours * rates[:, None, :]
+    spread = np.broadcast_to(weights[loss, rate, None, None], later.shape)
+    return _find_quantiles(np.clip(later, 0.0, 1.0), spread)
 
 
 def compute_exceedance(state: WallState, loss: float) -> float:

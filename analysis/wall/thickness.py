@@ -19,6 +19,8 @@ STEP_H = 8.0
 """The filter goes on in steps of at least so many hours, by the mean of their sets: what one of many sets
 adds to a stored probability would be lost in its rounding, at a high cost of CPU."""
 S_PER_H = 3600.0
+HORIZON = 0.25
+"""Time of a forecast, as a fraction of the time since the baseline."""
 ALARM_PROBABILITY = 0.95
 """Probability of a wall below its minimum at which a set counts for the alarm."""
 
@@ -31,14 +33,20 @@ class WallModel:
     ----------
     hypotheses
         `posterior.compare`, with the calibration to the sensor's baseline.
+    curves
+        Name of the curve of each.
     initial_m
         Thickness of the sound wall.
+    baseline_h
+        Middle of the baseline.
     minimum_m
         Thickness below which the wall must not be; None: none is stated.
     """
 
     hypotheses: posterior.Hypotheses
+    curves: tuple[str, ...]
     initial_m: float
+    baseline_h: float
     minimum_m: float | None = None
 
 
@@ -75,6 +83,11 @@ class WallThickness:
         Probability that the wall is thinner than its minimum.
     time_to_minimum_s, time_to_minimum_low_s
         Until the minimum is reached at the present rate, median and 5 % quantile; None: never.
+    forecast_h, forecast_m, forecast_low_m, forecast_high_m
+        Hour (`HORIZON`, or when the minimum is reached, if earlier) with the thickness at the present rate:
+        median and 90 % interval. None if the wall is below its minimum.
+    curve
+        Name of the most likely curve of the bank.
     """
 
     quality: Literal["good", "suspect", "bad"] = "good"
@@ -86,6 +99,11 @@ class WallThickness:
     below_minimum_probability: float | None = None
     time_to_minimum_s: float | None = None
     time_to_minimum_low_s: float | None = None
+    forecast_h: float | None = None
+    forecast_m: float | None = None
+    forecast_low_m: float | None = None
+    forecast_high_m: float | None = None
+    curve: str | None = None
     reason: str = ""
 
 
@@ -198,6 +216,8 @@ def describe_state(state: posterior.WallState, model: WallModel, unused: str = "
     reason = f"at least {1e3 * initial_m * loss.low:.2f} mm lost" if is_open else unused
     limit = None if model.minimum_m is None else 1.0 - model.minimum_m / initial_m
     left = None if limit is None else posterior.forecast(state, limit)
+    ahead_h = min(HORIZON * (state.hour - model.baseline_h), math.inf if left is None else left.median)
+    later = posterior.predict_loss(state, ahead_h) if ahead_h > 0.0 and not is_open else None
     return WallThickness(
         quality="suspect" if reason else "good",
         thickness_m=None if is_open else initial_m * (1.0 - loss.median),
@@ -208,6 +228,11 @@ def describe_state(state: posterior.WallState, model: WallModel, unused: str = "
         below_minimum_probability=None if limit is None else posterior.compute_exceedance(state, limit),
         time_to_minimum_s=None if left is None or math.isinf(left.median) else S_PER_H * left.median,
         time_to_minimum_low_s=None if left is None or math.isinf(left.low) else S_PER_H * left.low,
+        forecast_h=None if later is None else state.hour + ahead_h,
+        forecast_m=None if later is None else initial_m * (1.0 - later.median),
+        forecast_low_m=None if later is None else initial_m * (1.0 - later.high),
+        forecast_high_m=None if later is None else initial_m * (1.0 - later.low),
+        curve=posterior.find_likeliest_curve(state, model.curves),
         reason=reason,
     )
 

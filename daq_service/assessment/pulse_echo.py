@@ -44,12 +44,7 @@ class PulseEchoAssessor:
         self.position = position
         self._settings = settings
         self.initial_thickness_m = settings.ultrasound.initial_thickness_m
-        # A reading counts for the alarm by the larger limit: of the loss, or of the remaining wall.
         self._wall_limit_m = settings.find_wall_limit_m(position)
-        self._limit_loss_m = min(
-            settings.alarms.thickness_loss_fraction * self.initial_thickness_m,
-            self.initial_thickness_m - (settings.positions[position].minimum_wall_m or 0.0),
-        )
         self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
         self.state = PulseEchoState()
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
@@ -150,14 +145,15 @@ class PulseEchoAssessor:
         )
 
     def exceeds_limit(self, row: ThicknessRow) -> bool | None:
-        """Return whether a reading's wall loss exceeds the limit of the alarm.
+        """Return whether the complete 95 % interval of a reading is below the limit of the alarm.
 
-        None for a reading that is bad, or whose loss is missing or not finite.
+        A reading that was stored before there were intervals counts by its thickness. None for a reading that
+        is bad, or whose thickness is missing or not finite.
         """
-        loss_m = row.thickness_loss_m
-        if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
+        wall_m = row.thickness_m
+        if row.quality == "bad" or wall_m is None or not math.isfinite(wall_m):
             return None
-        return loss_m > self._limit_loss_m
+        return (wall_m if row.interval_high_m is None else row.interval_high_m) < self._wall_limit_m
 
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         """Return the condition ``thickness_low`` (priority high) after a reading; present by the k-of-n rule.
@@ -175,7 +171,7 @@ class PulseEchoAssessor:
             present=alarm.active,
             times_limit=None
             if loss_m is None or self.exceeds_limit(row) is None
-            else loss_m / self._limit_loss_m,
+            else loss_m / (self.initial_thickness_m - self._wall_limit_m),
             evidence={
                 "formula": FORMULA,
                 "rule": {"k": self._rule.k, "n": self._rule.n},

@@ -52,7 +52,7 @@ from simulator.plate.mindlin import patches
 
 if TYPE_CHECKING:
     from daq_service.settings.tree import PositionSettings
-    from simulator.shot.model import ShotForce, ShotModel
+    from simulator.shot.model import Impact, ShotForce, ShotModel
 
 log = logging.getLogger(__name__)
 
@@ -269,6 +269,19 @@ def compute_source_slopes(
     return found
 
 
+def make_impact(chain: ChainParameters, member: Member, depth_fraction: float) -> Impact:
+    """Return the impact of a member at a depth of its patch."""
+    from simulator.shot.model import Impact
+
+    damping = np.full(chain.bodies, member.damping_factor)
+    damping[-1] = member.contact_damping_factor
+    return Impact(
+        depth_fraction=depth_fraction,
+        tilt_rad=chain.tilt_rad + member.tilt_factor * MEAN_TILT_RAD,
+        contacts=Contacts(stiffness_factor=np.ones(chain.bodies), damping_factor=damping),
+    )
+
+
 def _simulate_curve(
     chain: ChainParameters, member: Member, model: ShotModel, recorder: NoiseFreeRecorder
 ) -> FloatArray:
@@ -279,17 +292,11 @@ def _simulate_curve(
     """
     from scipy.interpolate import CubicSpline
 
-    from simulator.shot.model import Impact
-
-    damping = np.full(chain.bodies, member.damping_factor)
-    damping[-1] = member.contact_damping_factor
-    contacts = Contacts(stiffness_factor=np.ones(chain.bodies), damping_factor=damping)
-    tilt_rad = chain.tilt_rad + member.tilt_factor * MEAN_TILT_RAD
     logs: list[FloatArray] = []
     try:
-        for depth in DEPTHS:
-            impact = Impact(depth_fraction=depth, tilt_rad=tilt_rad, contacts=contacts)
-            found = recorder.log_features(model.shots([impact])[0], tilt_rad)
+        for depth in DEPTHS.tolist():
+            impact = make_impact(chain, member, depth)
+            found = recorder.log_features(model.shots([impact])[0], impact.tilt_rad or 0.0)
             if not np.isfinite(found).all():
                 break
             logs.append(found)

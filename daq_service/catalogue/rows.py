@@ -185,6 +185,11 @@ class WallRow(RowOfSet):
     below_minimum_probability: Annotated[float | None, "Probability of a wall below its minimum"] = None
     time_to_minimum_s: Annotated[float | None, "Time until the minimum at this rate, median"] = None
     time_to_minimum_low_s: Annotated[float | None, "The same, 5 % quantile"] = None
+    forecast_h: Annotated[float | None, "Hour of the forecast at this rate; null: none"] = None
+    forecast_m: Annotated[float | None, "Wall thickness at that hour, median"] = None
+    forecast_low_m: Annotated[float | None, "Lower end of the 90 % interval of `forecast_m`"] = None
+    forecast_high_m: Annotated[float | None, "Upper end of the 90 % interval of `forecast_m`"] = None
+    curve: Annotated[str | None, "Most likely wall curve of the twin: model, shape, size"] = None
     reason: Annotated[str | None, "Why there is no thickness, or it is not good; null: it is"] = None
 
 

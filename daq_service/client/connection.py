@@ -56,6 +56,10 @@ class Connection:
         self._closed.set()
         self.http.close()
 
+    def wait(self, seconds: float) -> None:
+        """Wait before a request is repeated; `close` ends it."""
+        self._closed.wait(seconds)
+
     def get(self, path: str, **parameters: Parameter) -> Json:
         """Request a path below ``/api/v1/`` and return its JSON answer.
 

@@ -15,7 +15,7 @@ from daq_service.catalogue.rows import Row
 from daq_service.client.connection import Connection, Json, Parameter
 from daq_service.client.errors import ClientError, RefusedError
 from daq_service.client.frames import build_data_frame
-from daq_service.client.waves import read_waveforms
+from daq_service.client.waves import read_twin_waveform, read_waveforms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,6 +190,14 @@ class Experiment:
             sets = self.sets(position, from_h=from_h, to_h=to_h)
             indices = sets.loc[sets["n_taken"] > 0, "set_index"].tolist()
         return read_waveforms(self._connection, position, methods[position], indices)
+
+    def twin_waveform(self, position: str, set_index: int | str) -> xarray.DataArray:
+        """Simulate the waveform of a set at its wall thickness from the waves, in volts over ``time`` in s.
+
+        It waits for the simulation, up to a minute. Time and height of the incident wave are those of the
+        set. ``attrs`` has the curve of the twin, and thickness, hour and quality of the wall.
+        """
+        return read_twin_waveform(self._connection, position, set_index)
 
     def follow(self, *topics: str, after: int | None = None) -> Iterator[Event]:
         """Yield new events in order, also over restarts of recorder and service, until `close`.

@@ -9,10 +9,29 @@ import numpy as np
 import pandas as pd
 import xarray
 
-from daq_service.client.connection import Connection, Json
+from daq_service.client.connection import RETRY_S, Connection, Json
 from daq_service.client.errors import ClientError
 
 PER_SHOT = ("set_index", "unscheduled_index", "shot_index", "sequence", "valid")
+
+
+def read_twin_waveform(connection: Connection, position: str, index: int | str) -> xarray.DataArray:
+    """Read the simulated waveform of a set; wait until the service has simulated it.
+
+    Raise RefusedError or UnreachableError as `Connection.get`.
+    """
+    while (answer := connection.get(f"sets/{position}/{index}/twin"))["voltage_v"] is None:
+        connection.wait(RETRY_S)
+    voltage_v = np.array(answer["voltage_v"])
+    time_s = (np.arange(voltage_v.size) - answer["pretrigger_samples"]) / answer["sample_rate_hz"]
+    wall = {name: answer["wall"][name] for name in ("curve", "thickness_m", "due_h", "quality")}
+    return xarray.DataArray(
+        voltage_v,
+        dims=("time",),
+        name="voltage",
+        attrs={"units": "V", "position": position, "simulated": True, **wall},
+        coords={"time": ("time", time_s, {"units": "s", "description": "from the trigger"})},
+    )
 
 
 def read_waveforms(

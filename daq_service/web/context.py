@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
@@ -32,6 +32,9 @@ from daq_service.web.answers.problem import Problem, create_catalogue_lost, crea
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_figures import LiveFigures
+
+if TYPE_CHECKING:
+    from daq_service.background.twin_waveforms import TwinWaveforms
 
 
 class CatalogueEvents:
@@ -108,6 +111,13 @@ class Context:
         """Monotonic time of reading, and the answers embedded in the page, by path."""
         self._has_data = False
 
+    @cached_property
+    def twin_waveforms(self) -> TwinWaveforms:
+        """Return the simulated waveforms; the first call imports what they need."""
+        from daq_service.background.twin_waveforms import TwinWaveforms
+
+        return TwinWaveforms()
+
     @asynccontextmanager
     async def run_background_tasks(self) -> AsyncIterator[None]:
         """Follow events and live figures, notify and write heartbeats while the context is open.
@@ -180,6 +190,8 @@ class Context:
         self.hub.close()
         self.live.close()
         self.notifications.close()
+        if "twin_waveforms" in vars(self):
+            self.twin_waveforms.close()
 
     def validate_position(self, position: str) -> str:
         """Return the name of a position unchanged if the test has it, since it becomes part of file names.

@@ -186,6 +186,10 @@ def test_the_figure_shows_the_quantity_that_the_kind_assesses(page, number, colu
     assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
     assert shown["y"]["assessed"] == pytest.approx([values[index] for index in shown["opens"]], rel=1e-12)
     assert shown["y"]["limit"] == pytest.approx([limit] * 14, rel=1e-12)
+    if number == 5:
+        below = sum(item["interval_high_m"] < 6.3e-3 for item in items[N_SETS - 6 : N_SETS - 1])
+        assert below < sum(item["thickness_m"] < 6.3e-3 for item in items[N_SETS - 6 : N_SETS - 1])
+        expect(box).to_contain_text(f"{below} of the last 5 assessed sets outside the limit")
     page.keyboard.press("Escape")
 
 

@@ -110,6 +110,7 @@ def assert_drawn_is_the_api(page, service, position="B"):
     assert charts["tof"]["y"]["tof_pp_us"] == [value * 1e6 for value in trend["tof_pp_s"]]
     assert charts["thickness"]["x"] == wall["due_h"]
     assert charts["thickness"]["y"]["thickness_mm"] == [value * 1e3 for value in wall["thickness_m"]]
+    assert charts["thickness"]["low"] == [value * 1e3 for value in wall["interval_low_m"]]
 
 
 def test_history_is_drawn_as_the_api_has_it(historian, open_page):

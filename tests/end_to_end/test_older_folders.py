@@ -147,8 +147,15 @@ def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack, tmp_path):
     # and a noise that is read from bins differs by up to 8e-6 of its size. What a restart forgets or counts
     # twice changes a number by percents.
     assert [row.limits for row in rows_of(folder)["baselines"]] == [None], "frozen before there was a chart"
+    # Readings of the earlier version have no interval: they count for the alarm by their thickness.
+    (alarm,) = rows_of(folder)["alarms"]
+    assert (alarm.kind, rows_of(whole)["alarms"]) == ("thickness_low", [])
     began, in_one_go = (
-        {where: content for where, content in leaves(rows_of(of)) if not CAME_LATER & set(where)}
+        {
+            where: content
+            for where, content in leaves({**rows_of(of), "alarms": []})
+            if not CAME_LATER & set(where)
+        }
         for of in (folder, whole)
     )
     assert began.keys() == in_one_go.keys()
@@ -156,10 +163,8 @@ def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack, tmp_path):
     assert {where: began.pop(where) for where in numbers} == pytest.approx(
         numbers, rel=1e-4, abs=0.0, nan_ok=True
     )
-    # An alarm that the earlier version raised keeps its message.
     assert {where for where, content in began.items() if in_one_go[where] != content} <= {
-        *(("shots", row, "crc32") for row in range(len(rows_of(folder)["shots"]))),
-        *(("alarms", row, "message") for row in range(len(rows_of(folder)["alarms"]))),
+        ("shots", row, "crc32") for row in range(len(rows_of(folder)["shots"]))
     }
 
 

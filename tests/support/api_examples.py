@@ -31,8 +31,53 @@ STREAM = (
     'data: {"id":42,"topic":"sets","kind":"set_done","position":"B","set_index":0,"payload":{}}\\n\\n'
 )
 TRIAL = {"receiver": "control_room", "ok": True, "status": 204, "result": "taken", "took_s": 0.12}
+TWIN = {
+    "as_of": {
+        "clock": "simulated",
+        "last_write_wall_utc": "2026-11-28T09:08:05.896002385Z",
+        "now_h": 25.0,
+        "now_utc": "2024-01-02T01:00:00Z",
+        "pace_h_per_s": None,
+        "recorder": "running",
+        "wall_age_s": 11.571349605,
+    },
+    "position": "B",
+    "pretrigger_samples": 1000,
+    "reason": None,
+    "sample_rate_hz": 10000000.0,
+    "set_index": 48,
+    "unscheduled_index": 0,
+    "voltage_v": [0.0, 0.012],
+    "wall": {
+        "age_h": 0.5,
+        "below_minimum_probability": None,
+        "curve": "solid, square 25.4 mm",
+        "due_h": 24.5,
+        "due_utc": "2024-01-02T00:30:00Z",
+        "extractor_version": "1",
+        "forecast_h": None,
+        "forecast_high_m": None,
+        "forecast_low_m": None,
+        "forecast_m": None,
+        "forecast_utc": None,
+        "id": 1,
+        "interval_high_m": 0.00635,
+        "interval_low_m": 0.0060325,
+        "loss_rate_m_per_s": 4e-09,
+        "minimum_m": None,
+        "position": "B",
+        "quality": "good",
+        "reason": None,
+        "set_index": 48,
+        "thickness_m": 0.00635,
+        "time_to_minimum_low_s": None,
+        "time_to_minimum_s": None,
+        "unscheduled_index": 0,
+    },
+}
 BY_HAND: dict[str, tuple[str, Any]] = {
     "stream_events": ("text/event-stream", STREAM),
+    "get_twin_waveform": ("application/json", TWIN),  # it would need a wall and a minute
     "test_receiver": ("application/json", TRIAL),  # it would need a receiver
 }
 

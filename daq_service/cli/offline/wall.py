@@ -134,7 +134,14 @@ def _estimate_rows(
         raise InvalidInputError(f"no set follows the baseline, which ends at hour {end_h:g}")
     state = posterior.begin(len(changes), end_h)
     hypotheses = posterior.compare(calibration, changes)
-    model, pool = WallModel(hypotheses=hypotheses, initial_m=bank.thickness_m, minimum_m=minimum_m), Pool()
+    model = WallModel(
+        hypotheses=hypotheses,
+        curves=posterior.list_curves(bank),
+        initial_m=bank.thickness_m,
+        baseline_h=float(hours[is_baseline].mean()),
+        minimum_m=minimum_m,
+    )
+    pool = Pool()
     for hour, row in zip(hours[~is_baseline].tolist(), logs[~is_baseline], strict=True):
         state, pool, found = estimate_thickness(model, state, pool, row, hour)
         if found is not None:

@@ -143,6 +143,8 @@ class ThicknessRow(Answer):
 class WallRow(Answer):
     """Wall thickness from the solitary waves of a set."""
 
+    forecast_utc: str | None
+
 
 @_copy_fields_of(rows.AssessmentRow)
 class AssessmentRow(Answer):
@@ -639,6 +641,19 @@ class Fit(Dated):
     residual_sd: float | None
     from_h: float | None
     to_h: float | None
+    reason: str | None
+
+
+class TwinWaveform(Dated):
+    """Simulated waveform of a set: no measured value."""
+
+    position: str
+    set_index: int
+    unscheduled_index: int
+    wall: WallRow
+    sample_rate_hz: float
+    pretrigger_samples: int
+    voltage_v: list[float] | None
     reason: str | None
 
 

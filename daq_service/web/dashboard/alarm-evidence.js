@@ -84,9 +84,11 @@ const KINDS = {
       limit: "limit_m",
       source: { fields: ["thickness_m"], method: "pulse_echo" },
     },
-    read: trendReader(["thickness_m"], ({ thickness_m: wall, quality }, k, { limit_m }) =>
-      wall[k] === null || quality[k] === "bad" ? null : wall[k] < limit_m,
-    ),
+    // The complete interval is below the limit; of readings without one, the thickness.
+    read: trendReader(["thickness_m", "interval_high_m"], ({ thickness_m, interval_high_m, quality }, k, evidence) => {
+      const upper = interval_high_m[k] ?? thickness_m[k];
+      return upper === null || quality[k] === "bad" ? null : upper < evidence.limit_m;
+    }),
   },
   few_valid_shots: SHOTS,
   transducer_disabled: SHOTS,

@@ -26,7 +26,7 @@ export const FIELDS = {
     "interval_low_m",
     "interval_high_m",
   ],
-  pulse_echo: ["thickness_m", "travel_time_s"],
+  pulse_echo: ["thickness_m", "interval_low_m", "interval_high_m", "travel_time_s"],
 };
 const FITTED = /** @type {Record<string, string[]>} */ ({
   solitary_wave: ["tof_pp_s", "amplitude_ratio"],
@@ -71,6 +71,8 @@ export class DataLoader {
     this.span = null;
     /** Positions that are drawn. @type {string[]} */
     this.drawn = [];
+    /** Newest wall thickness from the waves by position. @type {Map<string, any>} */
+    this.walls = new Map();
     /** @type {Map<string, any>} columns of these hours, of positions whose complete test comes in bins */
     this.details = new Map();
     /** Timer that reads these columns, or 0. */
@@ -282,6 +284,7 @@ export class DataLoader {
     // The tiles come first: a reader sees them first.
     const readTransducers = async () => {
       const transducers = await get("/transducers");
+      for (const { position, last_wall } of transducers.items) if (last_wall) this.walls.set(position, last_wall);
       onRead({ transducers });
     };
     const requests = [readTransducers()];

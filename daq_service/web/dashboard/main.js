@@ -158,7 +158,8 @@ function timeline() {
 /** Return the hours that all charts show without a zoom: to the newest set of all positions. */
 function fullHours() {
   const newest = [...data.trends.values(), ...otherTests.trends.values()].map((one) => one.columns.due_h.at(-1) ?? 0);
-  return fullSpan(Math.max(0, ...newest), data.info?.schedule.end_h ?? 1);
+  const ahead = [...data.walls.values()].map((wall) => wall.forecast_h ?? 0);
+  return fullSpan(Math.max(0, ...newest, ...ahead), data.info?.schedule.end_h ?? 1);
 }
 
 /** Return the hour of the test by its own clock; a simulated clock does not advance between two updates. */

@@ -56,9 +56,11 @@ OF_ASSESSMENTS = (
     *("due_h", "distance_squared", "limit_f_predictive", "limit_mean_3sd", "limit_name", "limits"),
     *("mewma_statistic", "diagnosis_details", "outlier", "in_baseline"),
 )
+OF_FORECAST = ("forecast_low_m", "forecast_m", "forecast_high_m")
 OF_WALL = (
     *("due_h", "thickness_m", "interval_low_m", "interval_high_m", "quality"),
     *("minimum_m", "below_minimum_probability", "time_to_minimum_s"),
+    *("forecast_h", *OF_FORECAST),
 )
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "interval_low_m", "interval_high_m", "quality")
 

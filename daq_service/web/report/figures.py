@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from daq_service.shared_file import load_module_toml
-from daq_service.web.report.contents import Columns, Contents, PositionReport
+from daq_service.web.report.contents import OF_FORECAST, Columns, Contents, PositionReport
 
 # Okabe and Ito (2008), Color Universal Design.
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
@@ -90,6 +90,8 @@ def _draw_panels(
             panel(axis)
             _mark_gaps_and_alarms(contents, position, axis)
         to_h = min(contents.to_h, contents.now_h)
+        if len(panels) > 1 and (forecast := (position.wall or {}).get("forecast_h")):
+            to_h = max(to_h, forecast[-1] or 0.0)
         margin_h = MARGIN * (to_h - contents.from_h)
         axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
@@ -137,6 +139,12 @@ def _draw_thickness(values: Columns, limit_m: float | None, interval: str, axis:
     low_mm, high_mm = (1e3 * np.array(values[f"interval_{end}_m"], dtype=float) for end in ("low", "high"))
     axis.fill_between(values["due_h"], low_mm, high_mm, color=GREY, alpha=0.25, lw=0.0, label=interval)
     _draw_points(values, "thickness_m", 1e3, "wall (mm)", axis)
+    if "forecast_h" in values and values["forecast_h"][-1] is not None:  # of the newest set
+        hours = [values[name][-1] for name in ("due_h", "forecast_h")]
+        ends = zip(("interval_low_m", "thickness_m", "interval_high_m"), OF_FORECAST, strict=True)
+        low, middle, high = ([1e3 * values[name][-1] for name in names] for names in ends)
+        axis.fill_between(hours, low, high, color=BLUE, alpha=0.15, lw=0.0, label="forecast, 5 to 95 %")
+        axis.plot(hours, middle, color=BLUE, linestyle="--", gid="forecast")
     if limit_m is not None:
         axis.axhline(1e3 * limit_m, color=VERMILLION, label="limit")
     axis.legend(**ABOVE)

@@ -15,7 +15,7 @@ from daq_service.alarms.transitions import build_transition
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.settings.stored import remove_private_keys
 from daq_service.settings.tree import AlarmSettings
-from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
+from daq_service.web.report.contents import MOST_LINES, OF_FORECAST, Columns, Contents, PositionReport
 from daq_service.web.templates import NOT_KNOWN, format_quantity, render_template
 
 MOST_POSITIONS, MOST_ALARMS = 6, 6
@@ -115,6 +115,9 @@ def _list_newest_wall(wall: Columns) -> Iterator[Measured]:
     value, minimum = (format_quantity(wall[name][at], 1e3, 2, "mm") for name in ("thickness_m", "minimum_m"))
     ends = (format_quantity(wall[f"interval_{end}_m"][at], 1e3) for end in ("low", "high"))
     text = f"{value} (90 % interval {' to '.join(ends)} mm)"
+    if (ahead_h := wall["forecast_h"][at]) is not None:
+        low, middle, high = (format_quantity(wall[name][at], 1e3) for name in OF_FORECAST)
+        text += f"; forecast for hour {ahead_h:.1f}: {middle} mm ({low} to {high} mm)"
     if (below := wall["below_minimum_probability"][at]) is not None:
         minimum += f", below with {format_probability(below)}"
     if (left_s := wall["time_to_minimum_s"][at]) is not None:

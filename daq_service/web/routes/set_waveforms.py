@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
@@ -13,10 +14,11 @@ from daq_service.acquisition.shot_features import derive_extraction_settings
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
-from daq_service.web.answers.json_answer import build_framed_body
-from daq_service.web.answers.models import UNCHANGED, describe_errors, describe_files
-from daq_service.web.answers.problem import not_found
+from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow, WallRow
+from daq_service.processes.installation import MissingExtraError
+from daq_service.web.answers.json_answer import JsonAnswer, build_framed_body
+from daq_service.web.answers.models import UNCHANGED, TwinWaveform, describe_errors, describe_files
+from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.answers.unchanged import check_etag
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import SetOfPath
@@ -81,6 +83,56 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
     }
     content = build_framed_body(header, *(to_little_endian_bytes(record.waveform) for record in records))
     return Response(content, media_type=OCTET_STREAM, headers=headers)
+
+
+@router.get(
+    "/sets/{position}/{set_index}/twin",
+    response_model=TwinWaveform,
+    responses={202: {"model": TwinWaveform}, **describe_errors(404, 501, 503)},
+)
+def get_twin_waveform(context: ContextOf, position: str, set_index: SetOfPath) -> JsonAnswer:
+    """Return the simulated waveform on the samples of a set, at the newest wall thickness up to it.
+
+    The plate is that of the most likely curve (`wall.curve`). Time and height of the incident wave are those
+    of the set's mean, because the gain is unknown. 202: it is simulated, ask again; `voltage_v` is null. 404:
+    no such wall or wave; 501 without the extra `twin`.
+    """
+    from analysis.errors import AnalysisError
+    from simulator.errors import SimulatorError
+
+    catalogue, key = context.catalogue(), SetKey.parse(set_index)._asdict()
+    set_row = next(iter(catalogue.rows(SetRow, position=context.validate_position(position), **key)), None)
+    mean = next(iter(catalogue.rows(FeatureRow, position=position, scope="set", **key)), None)
+    walls = () if set_row is None else catalogue.rows(WallRow, position=position, last_h=set_row.due_h)
+    wall = next((row for row in reversed(walls) if row.curve and row.thickness_m is not None), None)
+    isw_time_s, isw_v = (None, None) if mean is None else (mean.isw_time_s, mean.isw_amplitude_v)
+    if set_row is None or set_row.file is None or wall is None or isw_time_s is None or isw_v is None:
+        raise not_found(
+            f"Position {position} has no wall thickness from waves, or no incident wave, at set {set_index}.",
+            "/api/v1/wall lists the thicknesses, from the end of the baseline on.",
+        )
+    place = context.settings.positions[position]
+    loss = round(1.0 - (wall.thickness_m or 0.0) / place.plate.thickness_m, 3)
+    try:
+        shot = context.twin_waveforms.find((place.chain, place.plate, wall.curve or "", loss))
+        record = context.archive.read_waveform(SetReference(set_row.file), position, 0)
+    except MissingExtraError as error:
+        raise Problem("missing-extra", str(error)) from error
+    except (AnalysisError, SimulatorError, SetNotFoundError) as error:
+        raise not_found(f"No simulated waveform: {error}", "Choose another set.") from error
+    time_s = (np.arange(record.counts.size) - record.pretrigger_samples) / record.sample_rate_hz
+    fresh = context.read_freshness()
+    answer = {
+        "position": position,
+        **key,
+        "as_of": fresh.as_of(),
+        "wall": fresh.row(wall),
+        "sample_rate_hz": record.sample_rate_hz,
+        "pretrigger_samples": record.pretrigger_samples,
+        "voltage_v": None if shot is None else shot.to_volts(time_s, isw_time_s, isw_v).astype(np.float32),
+        "reason": "the twin simulates it" if shot is None else None,
+    }
+    return JsonAnswer(answer, status_code=202 if shot is None else 200)
 
 
 def _compute_windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:

@@ -214,7 +214,7 @@ export class Board {
         onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       const errors = columns[k][`standard_error_${field}`];
-      const { interval_low_m: lower, interval_high_m: upper } = field === "thickness_m" ? columns[k] : {}; // of waves
+      const { interval_low_m: lower, interval_high_m: upper } = field === "thickness_m" ? columns[k] : {};
       const shifted = (/** @type {number} */ times) =>
         inUnit(
           columns[k][field].map((/** @type {number | null} */ value, /** @type {number} */ row) =>
@@ -243,17 +243,42 @@ export class Board {
         ),
         firstSets: onAxis(columns[k].set_index, rows[k]),
         step: trends[k].bin_sets,
-        ...(lower && upper
-          ? { low: inUnit(lower), high: inUnit(upper) }
-          : trends[k].bins?.minimum[field]
+        ...(trends[k].bins?.minimum[field]
           ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }
+          : lower && upper
+          ? { low: inUnit(lower), high: inUnit(upper) }
           : errors
             ? { low: shifted(-1), high: shifted(1) }
             : {}),
         quality: onAxis(columns[k].quality, rows[k]),
+        ...(field === "thickness_m" && !isOther(position) ? { forecast: this.forecast(position, factor) } : {}),
       });
     });
     return { x, rows, lines, scales, relative, unit: relative ? "%" : unit, digits: relative ? 2 : digits, factor };
+  }
+
+  /** @param {string} position @param {number} factor @returns {import("./series.js").Forecast | undefined} */
+  forecast(position, factor) {
+    const row = this.loader.walls.get(position);
+    if (!Number.isFinite(row?.forecast_h)) return undefined;
+    return {
+      hours: [row.due_h, row.forecast_h],
+      low: [row.interval_low_m * factor, row.forecast_low_m * factor],
+      median: [row.thickness_m * factor, row.forecast_m * factor],
+      high: [row.interval_high_m * factor, row.forecast_high_m * factor],
+      minimum: row.minimum_m === null ? null : row.minimum_m * factor,
+    };
+  }
+
+  /** Describe the forecast of a line. @param {Line} line @param {string} unit */
+  forecastText({ position, forecast }, unit) {
+    if (!forecast) return "";
+    const { hours, median, low, high } = forecast;
+    const { quality } = this.loader.walls.get(/** @type {string} */ (position));
+    return (
+      `forecast of ${position} at hour ${fixed(hours[0], 1)} (${quality}) for hour ${fixed(hours[1], 1)}: ` +
+      `${fixed(median[1], 2)} ${unit}, ${fixed(low[1], 2)} to ${fixed(high[1], 2)} ${unit} (90 %)`
+    );
   }
 
   /** @param {View} view @param {string[]} positions */
@@ -317,8 +342,19 @@ export class Board {
         dash: [7, 4],
         y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
       });
+    const ahead = lines.map((line) => this.forecastText(line, unit)).filter(Boolean);
+    const minimum = lines.find((line) => line.forecast)?.forecast?.minimum ?? null;
+    if (minimum !== null)
+      lines.push({
+        key: "minimum",
+        label: "minimum",
+        short: "minimum",
+        color: "--limit",
+        points: false,
+        y: x.map(() => minimum),
+      });
     const [{ step }] = lines;
-    const error = field === "thickness_m" ? "bars: 90 % interval of waves" : "bars: ± standard error";
+    const error = field === "thickness_m" ? "bars: interval, 95 % of a probe, 90 % of waves" : "bars: ± standard error";
     const bins = step && step > 1 ? `mean, min, max of ${step} sets each` : lines.some((line) => line.low) ? error : "";
     const remark = relative
       ? "relative to each position's own baseline" +
@@ -333,7 +369,7 @@ export class Board {
       name: relative ? "Change (%)" : unit || " ",
       unit,
       digits,
-      subtitle: [at, bins, remark].filter(Boolean).join(" · "),
+      subtitle: [at, bins, remark, ...ahead].filter(Boolean).join(" · "),
       exported: { fields: [field], ...of },
       ...context,
     });

@@ -41,7 +41,7 @@ const MAX_TABLE_ROWS = 500;
  * Return the marks that a chart has: one entry of its legend each, however often it is drawn.
  *
  * @param {Series} series
- * @returns {[string, "diamond" | "cross" | "ring" | "line", string][]} color, kind and label
+ * @returns {[string, "diamond" | "cross" | "ring" | "line" | "dashed", string][]} color, kind and label
  */
 function marksIn({ lines, ranges }) {
   const has = (/** @type {string} */ quality) => lines.some((line) => line.quality?.includes(quality));
@@ -50,6 +50,7 @@ function marksIn({ lines, ranges }) {
   const labels = new Map(ranges.filter((range) => range.inLegend).map(({ label, tone }) => [label, tone]));
   /** @type {ReturnType<typeof marksIn>} */
   const marks = [...labels].map(([label, tone]) => [`--${tone}`, "line", label]);
+  if (lines.some((line) => line.forecast)) marks.push([color, "dashed", "forecast, 5 to 95 %"]);
   if (has("suspect")) marks.unshift([color, "ring", "suspect"]);
   if (has("bad")) marks.unshift(["--alarm", "cross", "bad"]);
   if (lines.some((line) => line.outlier?.includes(true))) marks.unshift([color, "diamond", "outlier"]);
@@ -394,6 +395,7 @@ export class SolimonChart extends HTMLElement {
       x: [...this.series.x],
       y: Object.fromEntries(this.series.lines.map((line) => [line.key, [...line.y]])),
       span: this.plot ? [this.plot.scales.x.min, this.plot.scales.x.max] : null,
+      forecasts: this.series.lines.flatMap((line) => line.forecast ?? []),
       low: [...(this.series.lines[0]?.low ?? [])],
       opens: [...(this.series.lines[0]?.sets ?? [])],
       ranges: this.series.ranges.map((range) => ({ ...range })),

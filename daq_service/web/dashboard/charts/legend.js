@@ -8,11 +8,11 @@ const SHAPES = [
   "M11 8.6l3.3-6.3H7.7z",
 ];
 /** @type {Record<string, string>} */
-const STROKED = { line: "M1 5h20", cross: "M8 2l6 6M14 2l-6 6", ring: SHAPES[0] };
+const STROKED = { line: "M1 5h20", dashed: "M1 5h5M9 5h5M17 5h4", cross: "M8 2l6 6M14 2l-6 6", ring: SHAPES[0] };
 
 /**
  * @param {string} color custom property
- * @param {number | "line" | "diamond" | "cross" | "ring"} kind of mark; a number: that shape of points
+ * @param {number | "line" | "dashed" | "diamond" | "cross" | "ring"} kind of mark; a number: that shape of points
  * @param {number[]} [dash]
  */
 export function swatch(color, kind, dash) {

@@ -103,6 +103,36 @@ export function drawPoints(u, x, line) {
 }
 
 /**
+ * Draw the forecast of a line: band and dashed median, and the minimum up to there.
+ *
+ * @param {any} u @param {string} stroke @param {import("./series.js").Forecast} forecast
+ */
+export function drawForecast(u, stroke, { hours, low, median, high, minimum }) {
+  const line = (/** @type {number[]} */ values, /** @type {number[]} */ at = hours) =>
+    values.map((value, k) => [u.valToPos(at[k], "x", true), u.valToPos(value, "y", true)]);
+  const trace = (/** @type {CanvasRenderingContext2D} */ ctx, /** @type {number[][]} */ corners) => {
+    ctx.beginPath();
+    for (const [px, py] of corners) ctx.lineTo(px, py);
+  };
+  clipped(u, (ctx) => {
+    ctx.fillStyle = ctx.strokeStyle = color(stroke);
+    ctx.lineWidth = 2 * devicePixelRatio;
+    ctx.globalAlpha = 0.15;
+    trace(ctx, [...line(low), ...line(high).reverse()]);
+    ctx.fill();
+    ctx.globalAlpha = 1;
+    ctx.setLineDash([5 * devicePixelRatio, 4 * devicePixelRatio]);
+    trace(ctx, line(median));
+    ctx.stroke();
+    if (minimum === null) return;
+    ctx.strokeStyle = color("--limit");
+    ctx.setLineDash([]);
+    trace(ctx, line([minimum, minimum]));
+    ctx.stroke();
+  });
+}
+
+/**
  * Draw hours with a label at the top (baseline, pause, disabled) or at the bottom (annotation).
  *
  * @param {any} u

@@ -3,7 +3,7 @@
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { color } from "../dom.js";
 import { attach } from "./gestures.js";
-import { drawMoments, drawPoints, drawRanges } from "./marks.js";
+import { drawForecast, drawMoments, drawPoints, drawRanges } from "./marks.js";
 import { missing } from "./series.js";
 
 /**
@@ -53,7 +53,9 @@ function yRange(log, min, max) {
  */
 function extremes(u, lines, min, max) {
   const [from, to] = u.series[0].idxs ?? [0, -1];
-  for (const { low, high } of lines) {
+  for (const { low, high, forecast } of lines) {
+    for (const value of forecast ? [...forecast.low, ...forecast.high] : [])
+      [min, max] = [Math.min(min ?? value, value), Math.max(max ?? value, value)];
     for (let k = from; low && high && k <= to; k++) {
       const [lowest, highest] = [low[k], high[k]];
       if (lowest !== null && lowest !== undefined) min = Math.min(min ?? lowest, lowest);
@@ -178,6 +180,7 @@ export function makePlot(box, options, host, series, handlers) {
         draw: [
           (/** @type {any} */ u) => {
             const { x, lines, alarms, opened } = series();
+            for (const line of lines) if (line.forecast) drawForecast(u, line.color, line.forecast);
             for (const line of lines) if (line.points) drawPoints(u, x, line);
             drawMoments(u, alarms, opened);
           },

@@ -20,6 +20,11 @@ import { baselineAt } from "./baselines.js";
  * @property {(number | null)[]} [high] maximum of each bin
  * @property {(string | null)[]} [quality]
  * @property {(boolean | null)[]} [outlier]
+ * @property {Forecast} [forecast]
+ *
+ * @typedef {object} Forecast two hours with the 5 %, 50 % and 95 % quantile at each, and the minimum
+ * @property {number[]} hours @property {number[]} low @property {number[]} median @property {number[]} high
+ * @property {number | null} minimum
  *
  * @typedef {(value: number, hour: number) => number | null} Scale
  */

@@ -1,5 +1,6 @@
 // Show one set in detail: its waveforms and all its data.
 
+import { get } from "../api.js";
 import { onZoomKey } from "../charts/gestures.js";
 import { swatch } from "../charts/legend.js";
 import { button, el, setText } from "../dom.js";
@@ -15,6 +16,7 @@ import { mean, readWaveforms } from "./waveforms.js";
 /** @typedef {import("./data.js").SetData} SetData @typedef {import("./waveforms.js").Waveform} Waveform */
 
 const TABLE_ROWS = 400;
+const TWIN_RETRY_MS = 1000;
 const QUALITY = /** @type {Record<string, import("../icons.js").Look>} */ ({
   good: { label: "Good", icon: "check", tone: "good" },
   suspect: { label: "Suspect", icon: "triangle", tone: "warn" },
@@ -43,6 +45,8 @@ export class SolimonSet extends HTMLElement {
     this.ghostOf = "";
     /** @type {any} */
     this.plotted = null;
+    /** Simulated waveform of the set. @type {any} */
+    this.twin = null;
     this.requested = "";
     /** The view drawn last, without set and span. */
     this.drawnView = "";
@@ -62,6 +66,11 @@ export class SolimonSet extends HTMLElement {
       }),
     );
     this.toggle.setAttribute("aria-label", "Table of: waveforms of the set");
+    this.twinButton = button("Twin", () => this.toggleTwin(), {
+      "aria-pressed": "false",
+      "aria-label": "Simulated waveform of the twin",
+    });
+    this.twinState = el("p", { role: "status" });
     this.close = button("Close", () => this.leave());
     this.box = el("div", { class: "plot tall", role: "img", tabindex: "0", "aria-label": "Waveforms of the set" });
     this.emptyText = el("p", { class: "empty" });
@@ -87,13 +96,14 @@ export class SolimonSet extends HTMLElement {
       el(
         "div",
         { class: "card-head" },
-        el("div", {}, this.heading, this.subtitle, this.chips),
+        el("div", {}, this.heading, this.subtitle, this.twinState, this.chips),
         el(
           "div",
           { class: "card-actions" },
           this.previous,
           this.next,
           this.resetButton,
+          this.twinButton,
           this.toggle,
           exportMenu("waveforms of the set", () => this.offer()),
           this.close,
@@ -163,7 +173,9 @@ export class SolimonSet extends HTMLElement {
       const data = await readSetData(position, positionInfo.method, set);
       if (this.requested !== requested) return;
       this.data = data;
+      this.twin = null;
       this.render();
+      void this.readTwin();
       await this.readGhost(position);
       if (this.requested === requested) this.draw();
     } catch (error) {
@@ -191,6 +203,33 @@ export class SolimonSet extends HTMLElement {
       this.ghost = mean(waveforms);
     } catch (error) {
       console.info(`no baseline waveform next to the set: ${/** @type {Error} */ (error).message}`);
+    }
+  }
+
+  toggleTwin() {
+    this.twinButton.setAttribute("aria-pressed", String(this.twinButton.getAttribute("aria-pressed") !== "true"));
+    this.twin = null;
+    this.draw();
+    void this.readTwin();
+  }
+
+  /** Draw the simulated waveform if it is wanted, as soon as it is there. */
+  async readTwin() {
+    const { position, set } = this.host.view();
+    const { requested } = this;
+    const isWanted = () => this.twinButton.getAttribute("aria-pressed") === "true" && this.requested === requested;
+    setText(this.twinState, "");
+    try {
+      while (isWanted() && this.twin === null) {
+        const answer = await get(`/sets/${position}/${set}/twin`);
+        if (!isWanted()) return;
+        setText(this.twinState, answer.voltage_v ? "" : "The twin simulates this wall");
+        if (answer.voltage_v === null) await new Promise((done) => setTimeout(done, TWIN_RETRY_MS));
+        else this.twin = answer;
+        this.draw();
+      }
+    } catch (error) {
+      if (isWanted()) setText(this.twinState, /** @type {Error} */ (error).message);
     }
   }
 
@@ -257,6 +296,7 @@ export class SolimonSet extends HTMLElement {
     const units = this.host.units(view.position);
     const positionInfo = info.positions.find((/** @type {any} */ one) => one.position === view.position);
     this.updateNeighbors();
+    this.twinButton.hidden = positionInfo.method === "pulse_echo";
     setText(
       this.heading,
       `Position ${view.position} · ${setName(view.set ?? 0)}${set ? ` · hour ${hour(set.due_h)}` : ""}`,
@@ -317,6 +357,18 @@ export class SolimonSet extends HTMLElement {
       });
     const averaged = same.length > 1 ? mean(same.filter((one) => valid.has(one.header.sequence))) : null;
     if (averaged) traces.push({ label: "mean of the valid shots", volts: averaged, color: "--ink", width: 2 });
+    if (this.twin?.voltage_v.length === first.volts.length) {
+      const { curve, thickness_m, due_h, quality } = this.twin.wall;
+      traces.splice(-1, 0, {
+        label:
+          `simulated: ${curve}; wall ${fixed(1e3 * thickness_m, 2)} mm (hour ${hour(due_h)}, ${quality}), ` +
+          "incident wave as measured",
+        volts: Float64Array.from(this.twin.voltage_v),
+        color: "--third",
+        width: 2,
+        dash: [6, 3],
+      });
+    }
     const chosen = shot === null ? undefined : same.find((one) => one.header.shot_index === shot);
     if (chosen)
       traces.push({

@@ -11,7 +11,7 @@ from analysis.wall import estimator as estimator_module
 from analysis.wall import posterior
 from analysis.wall.bank import FEATURES, load_bank
 from analysis.wall.estimator import WallEstimator
-from analysis.wall.thickness import STEP_H, Pool
+from analysis.wall.thickness import HORIZON, STEP_H, Pool
 from daq_service.assessment.wall_bank import SHIPPED_BANK
 
 SD = np.array([0.006, 0.03, 0.017, 0.008, 0.05])
@@ -74,6 +74,30 @@ def test_a_thinning_wall_is_followed_and_its_alarm_raised_below_the_minimum(open
     assert track.alarm.active
     assert found[0].below_minimum_probability < 0.01 < 0.95 < found[-2].below_minimum_probability
     assert found[-2].time_to_minimum_s == 0.0
+
+
+def test_a_forecast_covers_the_wall_at_its_hour_and_ends_where_the_minimum_is_reached(opened):
+    baseline, bank = draw_sets(opened[0], np.zeros(30), 0.0), opened[0]
+    losses = np.arange(60) / 150.0
+    _, found = follow(make_estimator(opened), baseline, draw_sets(bank, losses, 120.0, seed=4))
+    hours = 120.0 + EVERY_H * np.arange(60)
+    covered, n_early = [], 0
+    for hour, one in zip(hours, found, strict=True):
+        if one is None:
+            continue
+        if one.time_to_minimum_s == 0.0:
+            assert one.forecast_h is None
+            continue
+        ahead_h = one.forecast_h - hour
+        horizon_h = HORIZON * (hour - np.mean([one.due_h for one in baseline]))
+        assert ahead_h == pytest.approx(min(horizon_h, one.time_to_minimum_s / 3600.0))
+        if n := ahead_h < horizon_h - 1e-9:
+            assert one.forecast_m == pytest.approx(one.minimum_m, abs=0.02e-3)
+        n_early += n
+        truth_m = bank.thickness_m * (1.0 - np.interp(hour + ahead_h, hours, losses))
+        covered.append(one.forecast_low_m <= truth_m <= one.forecast_high_m)
+    assert np.mean(covered) > 0.85
+    assert n_early > 2
 
 
 def test_near_sets_are_pooled_and_a_restart_at_any_set_gives_the_same_digits(opened):

@@ -276,6 +276,19 @@ def test_a_forecast_is_the_rest_divided_by_the_rate():
         assert posterior.forecast(state_of([(0.6, rate, 1.0)]), 0.3).high == 0.0, "it is reached"
 
 
+def test_a_predicted_loss_is_the_rate_times_the_hours_and_agrees_with_the_forecast():
+    rate = RATES_PER_H[6]
+    hours = 0.2 / rate
+    later = posterior.predict_loss(state_of([(0.1, rate, 1.0)]), hours)
+    step = (RATES_PER_H[2] / RATES_PER_H[1]) ** 0.5
+    assert 0.1 + 0.2 / step - 0.03 < later.low < later.median < later.high < 0.1 + 0.2 * step + 0.03
+    mixed = state_of([(0.1, rate, 0.5), (0.15, RATES_PER_H[7], 0.3), (0.2, 0.0, 0.2)])
+    reached = posterior.forecast(mixed, 0.3)
+    assert posterior.predict_loss(mixed, reached.median).median == pytest.approx(0.3, abs=0.002)
+    assert posterior.predict_loss(mixed, reached.low).high == pytest.approx(0.3, abs=0.002)
+    assert posterior.predict_loss(mixed, 1e6).median == 1.0
+
+
 def test_the_probability_of_a_limit_counts_the_losses_above_it():
     state = state_of([(0.1, 0.0, 0.75), (0.6, 0.0, 0.25)])
     assert posterior.compute_exceedance(state, 0.3) == pytest.approx(0.25)

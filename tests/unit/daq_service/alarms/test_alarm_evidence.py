@@ -102,7 +102,7 @@ MOST_LISTED: dict[str, str] = {
         Wall thickness of set 40: 5.60 mm, limit 5.71 mm (0.115 mm, 2.0 % below).
         95 % confidence interval of the mean under the beam: 5.50 to 5.70 mm, roughness about 21 µm RMS.
         Travel time 9.900 µs, reference 10.150 µs, delay of the probe 8.000 µs in both (equation 17).
-        Alarm rule: 3 of the last 5 readings below the limit.""",
+        Alarm rule: 3 of the last 5 readings with their complete interval below the limit.""",
     "no_reflection": """
         Shots without a reflected wave in set 12: 9 of 10.
         Alarm rule: 7 such shots in each of 2 consecutive sets.""",

@@ -111,3 +111,20 @@ def test_the_larger_of_both_limits_raises_the_alarm(minimum_wall_m, limit_m, exc
     assert made.exceeds_limit(found.thickness[0]) is exceeds
     assert found.conditions[0].evidence["limit_m"] == pytest.approx(limit_m)
     assert (found.conditions[0].times_limit > 1.0) is exceeds
+
+
+@pytest.mark.parametrize(
+    ("interval_high_m", "exceeds"),
+    [(5.7e-3, True), (5.73e-3, False), (None, True)],
+    ids=["below", "over", "old"],
+)
+def test_a_reading_counts_when_its_complete_interval_is_below_the_limit(interval_high_m, exceeds):
+    made = assessor()
+    assess(made, simulate_echo(6.35e-3, STRAIGHT))
+    (row,) = assess(made, simulate_echo(5.65e-3, STRAIGHT), sequence=2).thickness
+    assert row.interval_high_m == pytest.approx(5.65e-3, abs=0.05e-3)
+    reading = replace(row, interval_high_m=interval_high_m)
+    assert made.exceeds_limit(reading) is exceeds
+    for _ in range(3):
+        made.add(reading)
+    assert made.state.alarm.active is exceeds

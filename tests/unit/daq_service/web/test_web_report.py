@@ -36,6 +36,7 @@ from daq_service.web.templates import (
 N_SETS = 56
 HEADINGS = ("h2", "h3", "h4")
 NOTE = "seen <b>&amp;"
+FORECAST = {"forecast_low_m": 5.2e-3, "forecast_m": 5.6e-3, "forecast_high_m": 6.1e-3}
 OF_SERIES = {
     "Time of flight": ("features", "tof_pp_s", 1e6, 1, "µs"),
     "Amplitude ratio": ("features", "amplitude_ratio", 1.0, 3, ""),
@@ -47,6 +48,10 @@ OF_SERIES = {
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     with filled_folder(tmp_path_factory.mktemp("data")) as folder:
+        without = folder.wall
+        folder.wall = lambda position, hour: (
+            without(position, hour) | ({"forecast_h": 1.25 * hour, **FORECAST} if position == "B" else {})
+        )
         for index in range(N_SETS):
             folder.add_set(index, stored=index in (0, N_SETS - 1))
         alarm = folder.add_alarm("B", 52)
@@ -341,6 +346,25 @@ def test_the_wall_has_the_interval_of_its_newest_reading(filled, page):
     )
     shown = f"Wall thickness {wall} mm (95 % interval {low} to {high} mm), limit 5.71 mm, quality good"
     assert f"{shown} (hour 28.0)." in page.words
+
+
+def test_the_forecast_of_a_wall_is_drawn_to_its_hour_and_written(filled, page):
+    assert "forecast for hour 35.0: 5.60 mm (5.20 to 6.10 mm)" in " ".join(page.words)
+    report_contents = read_report_contents(filled.folder)
+    drawn = {}
+    for place in report_contents.positions[1:3]:
+        svg = ElementTree.fromstring(draw_position_figure(report_contents, place))
+        groups = {group.get("id"): group for group in svg.iter("{http://www.w3.org/2000/svg}g")}
+        points = groups[f"figure-{place.name}-thickness_m"].iter("{http://www.w3.org/2000/svg}use")
+        line = groups.get(f"figure-{place.name}-forecast")
+        drawn[place.name] = [float(point.get("x")) for point in points], line
+    assert drawn["C"][1] is None
+    hours_x, line = drawn["B"]
+    (path,) = line.iter("{http://www.w3.org/2000/svg}path")
+    first, last = re.findall(r"[ML] ([\d.]+) ", path.get("d"))
+    assert float(first) == pytest.approx(hours_x[-1], abs=1e-4), "it continues the newest set"
+    per_h = (hours_x[-1] - hours_x[0]) / (0.5 * (len(hours_x) - 1))
+    assert float(last) - float(first) == pytest.approx(7.0 * per_h, rel=1e-3)
 
 
 def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
