@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from diagnoses import BASELINE, HEALTHY, MODELS, OTHERS, RULE, diagnose_sets, sets_of
-from wall_verdict import NAMES, OF_DIAGNOSIS, OF_POSTERIOR, shipped
+from wall_diagnoses import NAMES, OF_DIAGNOSIS, OF_POSTERIOR, shipped
 
 from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmState, update_alarm_state
