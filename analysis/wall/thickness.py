@@ -213,7 +213,8 @@ def describe_state(state: posterior.WallState, model: WallModel, unused: str = "
     """Return the wall thickness of a state; ``unused`` is why its last set was not used, if it was not."""
     loss, rate = posterior.estimate_loss(state), posterior.estimate_rate(state)
     is_open, initial_m = loss.high > posterior.LARGEST_VALID, model.initial_m
-    reason = f"at least {1e3 * initial_m * loss.low:.2f} mm lost" if is_open else unused
+    bound = f"at least {1e3 * initial_m * loss.low:.2f} mm lost" if is_open else ""
+    reason = "; ".join(filter(None, (unused, bound)))
     limit = None if model.minimum_m is None else 1.0 - model.minimum_m / initial_m
     left = None if limit is None else posterior.forecast(state, limit)
     ahead_h = min(HORIZON * (state.hour - model.baseline_h), math.inf if left is None else left.median)

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from analysis.statistics.rules import AlarmRule
+from analysis.statistics.rules import AlarmRule, AlarmState
 from analysis.wall import estimator as estimator_module
 from analysis.wall import posterior
 from analysis.wall.bank import FEATURES, load_bank
@@ -138,6 +138,21 @@ def test_the_mean_of_a_pool_counts_at_the_hour_of_its_last_set():
     pool = Pool().add(np.array([1.0, 2.0]), 3.0).add(np.array([3.0, 6.0]), 5.0).add(np.array([5.0, 4.0]), 7.0)
     assert pool.mean == pytest.approx((3.0, 4.0))
     assert (pool.n, pool.hour) == (3, 7.0)
+
+
+def test_time_alone_raises_no_alarm(opened):
+    baseline = draw_sets(opened[0], np.zeros(30), 0.0)
+    estimator = make_estimator(opened, minimum_m=3.9e-3)
+    thinning = draw_sets(opened[0], np.linspace(0.0, 0.35, 40), 120.0, seed=8)
+    before, _ = follow(estimator, baseline, thinning)
+    track = before
+    for day in range(200):
+        later = replace(baseline[0], due_h=300.0 + 24.0 * day)
+        track, found = estimator.add_set(track, baseline, later, "sensor")
+    assert found.quality == "suspect"
+    assert found.reason.startswith("diagnosed as a change of the sensor: not used; at least")
+    assert found.below_minimum_probability > 0.95
+    assert track.alarm == before.alarm == AlarmState(recent=(False,) * 5)
 
 
 def test_a_set_of_another_fault_only_widens_the_interval_and_is_suspect(opened):
