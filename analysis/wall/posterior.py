@@ -57,6 +57,8 @@ SOBOL = np.array(
     ]
 ).T
 """First points of the Sobol sequence in four dimensions, in sixteenths: normal factors of a discrepancy."""
+FORECAST_CELLS = 2000
+"""To which forecast losses are rounded: to sort them takes three times as long."""
 OF_WALL = 3
 """Features that the wall changes, the first ones: the incident wave is before it."""
 AR = FEATURES.index("amplitude_ratio")
@@ -325,7 +327,9 @@ def predict_loss(state: WallState, hours: float) -> Quantiles:
     rates = RATES_PER_H[rate, None] * (RATES_PER_H[2] / RATES_PER_H[1]) ** _IN_CELL
     later = (LOSSES[loss, None] * _SPREAD)[:, :, None] + hours * rates[:, None, :]
     spread = np.broadcast_to(weights[loss, rate, None, None], later.shape)
-    return _find_quantiles(np.clip(later, 0.0, 1.0), spread)
+    cells = np.rint(np.clip(later, 0.0, 1.0) * FORECAST_CELLS).astype(np.intp)
+    of_cells = np.bincount(cells.ravel(), spread.ravel())
+    return _take_quantiles(np.arange(len(of_cells)) / FORECAST_CELLS, of_cells)
 
 
 def compute_exceedance(state: WallState, loss: float) -> float:
