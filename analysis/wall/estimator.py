@@ -123,8 +123,9 @@ class WallEstimator:
             unused=f"diagnosed as a change of the {other_cause}: not used" if other_cause else "",
         )
         packed = track.packed if after is before else pack(after)
-        # A probability that rises with time alone raises no alarm.
-        alarm = update_alarm(track.alarm, None if other_cause else found, self._rule)
+        # A set that is not used counts only after one below the minimum: time alone raises no alarm.
+        counts = not other_cause or track.alarm.recent[-1:] == (True,)
+        alarm = update_alarm(track.alarm, found if counts else None, self._rule)
         track = replace(track, packed=packed, pool=pool, alarm=alarm)
         arrays.last = track, after
         return track, found

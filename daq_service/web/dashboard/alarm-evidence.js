@@ -87,9 +87,7 @@ const KINDS = {
     // The complete interval is below the limit; of readings without one, the thickness.
     read: trendReader(["thickness_m", "interval_high_m"], ({ thickness_m, interval_high_m, quality }, k, evidence) => {
       const upper = interval_high_m[k] ?? thickness_m[k];
-      // Of waves, a suspect set with a thickness was not used: only time went on.
-      const unused = "below_minimum_probability" in evidence && quality[k] === "suspect" && thickness_m[k] !== null;
-      return upper === null || quality[k] === "bad" || unused ? null : upper < evidence.limit_m;
+      return upper === null || quality[k] === "bad" ? null : upper < evidence.limit_m;
     }),
   },
   few_valid_shots: SHOTS,
