@@ -328,7 +328,7 @@ def predict_loss(state: WallState, hours: float) -> Quantiles:
     later = (LOSSES[loss, None] * _SPREAD)[:, :, None] + hours * rates[:, None, :]
     spread = np.broadcast_to(weights[loss, rate, None, None], later.shape)
     cells = np.rint(np.clip(later, 0.0, 1.0) * FORECAST_CELLS).astype(np.intp)
-    of_cells = np.bincount(cells.ravel(), spread.ravel())
+    of_cells = np.asarray(np.bincount(cells.ravel(), spread.ravel()), dtype=np.float64)
     return _take_quantiles(np.arange(len(of_cells)) / FORECAST_CELLS, of_cells)
 
 
