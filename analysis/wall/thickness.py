@@ -239,6 +239,11 @@ def describe_state(state: posterior.WallState, model: WallModel, unused: str = "
 
 
 def update_alarm(alarm: AlarmState, found: WallThickness | None, rule: AlarmRule) -> AlarmState:
-    """Update the k-of-n state of the thickness alarm; a set without a probability counts as unknown."""
+    """Update the k-of-n state of the thickness alarm.
+
+    A set counts as unknown without a probability, or if the minimum is within its interval, above the median.
+    """
     below = None if found is None else found.below_minimum_probability
-    return update_alarm_state(alarm, None if below is None else below > ALARM_PROBABILITY, rule)
+    if below is None or 0.5 < below <= ALARM_PROBABILITY:
+        return alarm
+    return update_alarm_state(alarm, below > ALARM_PROBABILITY, rule)

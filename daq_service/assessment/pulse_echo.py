@@ -148,12 +148,14 @@ class PulseEchoAssessor:
         """Return whether the complete 95 % interval of a reading is below the limit of the alarm.
 
         A reading that was stored before there were intervals counts by its thickness. None for a reading that
-        is bad, or whose thickness is missing or not finite.
+        is bad, whose thickness is missing or not finite, or is below the limit, but its interval is not.
         """
         wall_m = row.thickness_m
         if row.quality == "bad" or wall_m is None or not math.isfinite(wall_m):
             return None
-        return (wall_m if row.interval_high_m is None else row.interval_high_m) < self._wall_limit_m
+        if (wall_m if row.interval_high_m is None else row.interval_high_m) < self._wall_limit_m:
+            return True
+        return None if wall_m < self._wall_limit_m else False
 
     def _build_condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         """Return the condition ``thickness_low`` (priority high) after a reading; present by the k-of-n rule.
@@ -170,7 +172,7 @@ class PulseEchoAssessor:
             priority="high",
             present=alarm.active,
             times_limit=None
-            if loss_m is None or self.exceeds_limit(row) is None
+            if loss_m is None or row.quality == "bad" or not math.isfinite(loss_m)
             else loss_m / (self.initial_thickness_m - self._wall_limit_m),
             evidence={
                 "formula": FORMULA,

@@ -84,10 +84,11 @@ const KINDS = {
       limit: "limit_m",
       source: { fields: ["thickness_m"], method: "pulse_echo" },
     },
-    // The complete interval is below the limit; of readings without one, the thickness.
+    // The complete interval is below the limit; of readings without one, the thickness. In between: unknown.
     read: trendReader(["thickness_m", "interval_high_m"], ({ thickness_m, interval_high_m, quality }, k, evidence) => {
       const upper = interval_high_m[k] ?? thickness_m[k];
-      return upper === null || quality[k] === "bad" ? null : upper < evidence.limit_m;
+      if (upper === null || quality[k] === "bad") return null;
+      return upper < evidence.limit_m || (thickness_m[k] !== null && thickness_m[k] < evidence.limit_m ? null : false);
     }),
   },
   few_valid_shots: SHOTS,

@@ -11,7 +11,7 @@ from analysis.wall import estimator as estimator_module
 from analysis.wall import posterior
 from analysis.wall.bank import FEATURES, load_bank
 from analysis.wall.estimator import WallEstimator
-from analysis.wall.thickness import HORIZON, STEP_H, Pool
+from analysis.wall.thickness import HORIZON, STEP_H, Pool, WallThickness, update_alarm
 from daq_service.assessment.wall_bank import SHIPPED_BANK
 
 SD = np.array([0.006, 0.03, 0.017, 0.008, 0.05])
@@ -138,6 +138,14 @@ def test_the_mean_of_a_pool_counts_at_the_hour_of_its_last_set():
     pool = Pool().add(np.array([1.0, 2.0]), 3.0).add(np.array([3.0, 6.0]), 5.0).add(np.array([5.0, 4.0]), 7.0)
     assert pool.mean == pytest.approx((3.0, 4.0))
     assert (pool.n, pool.hour) == (3, 7.0)
+
+
+def test_an_alarm_lasts_while_the_minimum_is_in_the_upper_half_of_the_interval():
+    alarm, rule = AlarmState(), AlarmRule(k=3, n=5)
+    for probability, active in ((0.7, False), (0.99, True), (0.7, True), (0.3, False)):
+        for _ in range(5):
+            alarm = update_alarm(alarm, WallThickness(below_minimum_probability=probability), rule)
+        assert alarm.active is active
 
 
 def test_time_alone_raises_no_alarm(opened):

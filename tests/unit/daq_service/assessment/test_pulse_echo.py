@@ -115,7 +115,7 @@ def test_the_larger_of_both_limits_raises_the_alarm(minimum_wall_m, limit_m, exc
 
 @pytest.mark.parametrize(
     ("interval_high_m", "exceeds"),
-    [(5.7e-3, True), (5.73e-3, False), (None, True)],
+    [(5.7e-3, True), (5.73e-3, None), (None, True)],
     ids=["below", "over", "old"],
 )
 def test_a_reading_counts_when_its_complete_interval_is_below_the_limit(interval_high_m, exceeds):
@@ -127,4 +127,16 @@ def test_a_reading_counts_when_its_complete_interval_is_below_the_limit(interval
     assert made.exceeds_limit(reading) is exceeds
     for _ in range(3):
         made.add(reading)
-    assert made.state.alarm.active is exceeds
+    assert made.state.alarm.active is bool(exceeds)
+
+
+def test_wide_intervals_do_not_clear_the_alarm_of_a_thin_wall():
+    made = assessor()
+    assess(made, simulate_echo(6.35e-3, STRAIGHT))
+    (thin,) = assess(made, simulate_echo(5.5e-3, STRAIGHT), sequence=2).thickness
+    (sound,) = assess(made, simulate_echo(6.2e-3, STRAIGHT), sequence=3).thickness
+    wide = replace(thin, interval_high_m=6.1e-3)
+    for reading, active in ((thin, True), (wide, True), (sound, False)):
+        for _ in range(5):
+            made.add(reading)
+        assert made.state.alarm.active is active
