@@ -1,21 +1,18 @@
 """Every HDF5 file opens as a plot: the chain of defaults by NeXus's rules, as H5Web and silx walk it."""
 
-import tarfile
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
 import silx.io
 import silx.io.nxdata
 from click.testing import CliRunner
+from support.earlier_folders import FOLDERS, unpack_folder
 from support.filled_folder import filled_folder
 from support.stored_files import set_files
 
 from daq_service.catalogue import open_catalogue
 from daq_service.cli.main import cli
 
-FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
 EARLIER = sorted(path.name.removesuffix(".tar.xz") for path in FOLDERS.glob("*.tar.xz"))
 
 
@@ -30,8 +27,7 @@ def folders(today, tmp_path_factory):
     found = {"today": today}
     for commit in EARLIER:
         found[commit] = tmp_path_factory.mktemp("earlier") / commit
-        with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
-            archive.extractall(found[commit], filter="data")
+        unpack_folder(commit, found[commit])
     return found
 
 

@@ -4,11 +4,10 @@ import hashlib
 import json
 import logging
 import sqlite3
-import tarfile
 from dataclasses import asdict, is_dataclass
-from pathlib import Path
 
 import pytest
+from support.earlier_folders import FOLDERS, unpack_folder
 from support.small_experiment import rows_of, run
 from support.stored_files import read_set, set_files
 
@@ -17,7 +16,6 @@ from daq_service.catalogue.earlier_names import derive_uuid, to_current_row
 from daq_service.errors import StorageError
 from daq_service.settings.file import load_settings
 
-FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
 TRANSDUCER, PROBE_TOO = FOLDERS / "transducer.toml", FOLDERS / "transducer_and_probe.toml"
 CONFIGURATION_OF = dict.fromkeys(("ab39956", "c3c2e28", "29a2d7d5"), TRANSDUCER) | {"9c4a9b9": PROBE_TOO}
 EXTRACTOR_OF = {"29a2d7d5": "1.8"}
@@ -56,8 +54,7 @@ def unpack(tmp_path, monkeypatch):
         for module in ("daq_service.assessment.solitary_wave", "analysis.waves.features"):
             monkeypatch.setattr(f"{module}.EXTRACTOR_VERSION", EXTRACTOR_OF.get(commit, "1.1"))
         folder = tmp_path / commit
-        with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
-            archive.extractall(folder, filter="data")
+        unpack_folder(commit, folder)
         return folder
 
     return copy

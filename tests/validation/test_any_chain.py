@@ -29,6 +29,7 @@ def model(benchmark):
         (12.7e-3, "tungsten carbide", {}),
         (25.4e-3, "steel", {}),
         (32e-3, "titanium", {}),
+        (40e-3, "aluminium", {}),
         (19.05e-3, "steel", {"spheres_below": 8}),
         (19.05e-3, "steel", {"precompression_n": 50.0}),
         (25.4e-3, "steel", {"precompression_n": 50.0}),

@@ -3,7 +3,6 @@
 import html as markup
 import json
 import re
-import tarfile
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from support.damaging import flip
+from support.earlier_folders import unpack_folder
 from support.filled_folder import FilledFolder
 from support.invented_rows import event_row, set_row
 from support.kept_folder import lay_out, state_of
@@ -39,7 +39,7 @@ from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError
 from simulator.clock import SimulatedClock
 
 TESTS = Path(__file__).parents[3]
-FOLDERS, HOW_TO = TESTS / "fixtures" / "folders", TESTS.parent / "docs" / "how-to" / "acceptance-test.md"
+HOW_TO = TESTS.parent / "docs" / "how-to" / "acceptance-test.md"
 LOST, LOST_AGAIN, SILENT, POOR = (5, 6), 10, 3, 8
 """Sets at which the boards are gone, and are again, B does not trigger, all shots of C are poor."""
 
@@ -471,8 +471,7 @@ def test_corruption_found_by_verify_fails_the_report(tmp_path):
 
 
 def test_an_older_folder_is_reported_as_far_as_possible_and_unchanged(tmp_path):
-    with tarfile.open(FOLDERS / "c3c2e28.tar.xz") as archive:
-        archive.extractall(tmp_path, filter="data")
+    unpack_folder("c3c2e28", tmp_path)
     before = state_of(tmp_path)
     code, printed = certify("--data-dir", tmp_path, "--json")
     assert state_of(tmp_path) == before

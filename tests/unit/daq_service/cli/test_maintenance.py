@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import pytest
 from support.archived_sets import make_set
 from support.command_line import solimon_here
 from support.damaging import flip
+from support.earlier_folders import unpack_folder
 from support.filed_archive import FiledArchive, journal_of
 from support.kept_folder import SETS, lay_out, state_of
 from support.served_web import served
@@ -48,7 +48,6 @@ from daq_service.recording.reassessment.rebuild import rebuild_folder_catalogue
 from hardware_drivers.measurement import SetKey
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "data-folder.md"
-FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
 FILES = {
     index: f"sets/set_{index:06d}_20240101T{hour}00Z.h5"
     for index, hour in enumerate(("0030", "0100", "0130"))
@@ -622,8 +621,7 @@ def test_status_checks_the_newest_sets_and_all_after_a_removal(folder):
 @pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])
 def test_a_folder_of_an_earlier_version_is_verified_and_copied_unchanged(tmp_path, commit):
     folder = tmp_path / "data"
-    with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
-        archive.extractall(folder, filter="data")
+    unpack_folder(commit, folder)
     before = state_of(folder)
     report = verify_folder(folder)
     assert (report.damage, report.checked["files"] > 0) == ([], True)
