@@ -6,7 +6,7 @@
 
 Runs are those of `diagnoses.py`, with the features of the posterior, too: a baseline of 200 sets, one an
 hour, then 300 sets. The posterior (`analysis.wall`) has the bank of the shipped configurations, with curves
-of the three models among others. As in the recorder, it takes no set of a change of sensor or coupling. By
+of the three models among others. As in the recorder, a change of sensor or coupling counts as a re-seat. By
 the posterior it is WALL where the loss exceeds `--loss` with a probability of `--probability`, which were
 chosen on seeds 0 to 49. Either is enough, or the posterior counts where the diagnosis is undetermined.
 """
@@ -66,8 +66,8 @@ def exceedances(sets: FloatArray, causes: list[str], loss: float) -> list[float]
     state, pool = posterior.begin(len(changes), 0.5 * (BASELINE - 1)), Pool()
     found = [0.0]
     for index, cause in enumerate(causes, BASELINE):
-        unused = cause if cause in (SENSOR, COUPLING) else ""
-        state, pool, one = estimate_thickness(wall, state, pool, sets[index], float(index), unused=unused)
+        other = cause if cause in (SENSOR, COUPLING) else ""
+        state, pool, one = estimate_thickness(wall, state, pool, sets[index], float(index), other_cause=other)
         new = None if one is None else one.below_minimum_probability
         found.append(found[-1] if new is None else new)
     return found[1:]

@@ -189,7 +189,8 @@ def run_sensor(
     hypotheses = posterior.compare(calibration, changes)
     state = posterior.begin(len(changes), float(HOURS[BASELINE - 1]))
     for k in range(BASELINE, BASELINE + AFTER):
-        if hypotheses.compute_misfit(sets[k]) > 1.0:
+        slow = state.slow.wait(float(HOURS[k]) - state.hour)
+        if hypotheses.compute_misfit(sets[k], slow) > 1.0:
             state = posterior.wait(state, float(HOURS[k]))
         else:
             state = posterior.add_set(state, hypotheses, sets[k], float(HOURS[k]))

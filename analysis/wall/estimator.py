@@ -95,7 +95,7 @@ class WallEstimator:
         baseline
             Its sets.
         other_cause
-            Diagnosis of the set, if not the wall: then it says nothing about the wall.
+            Diagnosis of the set, if not the wall: then the chain counts as re-seated.
         """
         self._bank = self._bank or self._open_bank()
         if self._bank is None:
@@ -120,11 +120,11 @@ class WallEstimator:
             track.pool,
             to_logs(features.values),
             features.due_h,
-            unused=f"diagnosed as a change of the {other_cause}: not used" if other_cause else "",
+            other_cause=other_cause,
         )
         packed = track.packed if after is before else pack(after)
-        # A set that is not used counts only after one below the minimum: time alone raises no alarm.
-        counts = not other_cause or track.alarm.recent[-1:] == (True,)
+        # Without a set since the last step it counts only below the minimum: time alone raises no alarm.
+        counts = pool.hour > before.hour or track.alarm.recent[-1:] == (True,)
         alarm = update_alarm(track.alarm, found if counts else None, self._rule)
         track = replace(track, packed=packed, pool=pool, alarm=alarm)
         arrays.last = track, after

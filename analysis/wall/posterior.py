@@ -36,9 +36,13 @@ STILL, TILT = 0.05, 0.5
 a scale of the logarithm and on one of the rate."""
 NEIGHBOR, REDRAWN, CHANGE_H = 0.8, 0.02, 17.0
 """Probabilities that the rate moves to a neighbor on its grid, or is drawn again, within `CHANGE_H`."""
-MEMORY_H, MONTHS = (150.0, 2500.0), 1.5
+MEMORY_H, MONTHS = (150.0, 2500.0, math.inf), 1.5
 """Correlation times of the slow drift of days (`Calibration.slow`) and of that of months, and the variance of
-the latter in those of a set: healthy sets over a year at three levels of the twin, even seeds."""
+the latter in those of a set: healthy sets over a year at three levels of the twin, even seeds. What a re-seat
+of the chain adds stays."""
+RESEAT, RESEAT_RATE = 4.0, 1e-3
+"""Variance that a re-seat of the chain adds, in those of a set, and the rate at which the incident wave of an
+unchanged sensor is taken for that of a re-seated one."""
 TEMPER = 0.8
 """Exponent of a set's likelihood."""
 FACTORS, SOLID_FACTORS = 3, 15
@@ -67,7 +71,9 @@ LEAST = 1e-4
 """Probability of a cell, of the largest one's, below which it is left out."""
 GRAINS = 51
 """Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
-HEAD = 3 + 2 * (len(FEATURES) + 2) + 4
+PARTS = len(MEMORY_H)
+"""Of the slow drift."""
+HEAD = 3 + PARTS * (len(FEATURES) + 2) + PARTS**2
 """Numbers before the probabilities in a stored state."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
@@ -77,18 +83,18 @@ MISFIT_RATE = 1e-4
 class SlowDrift:
     """Change of a sensor's features that later sets share: a Kalman filter, in whitened units.
 
-    It has two parts, the drift of days and that of months; the latter begins at 0 with the baseline.
+    It has three parts: the drift of days; that of months, which begins at 0 with the baseline; re-seats.
 
     Attributes
     ----------
     estimate
-        Weighted sums over the sets, shape (2, 7): of the whitened features, of 1, of the hour.
+        Weighted sums over the sets, shape (3, 7): of the whitened features, of 1, of the hour.
     explained
-        Covariance of the two parts that is explained, shape (2, 2).
+        Covariance of the parts that is explained, shape (3, 3); negative for what a re-seat added.
     """
 
-    estimate: FloatArray = field(default_factory=lambda: np.zeros((2, len(FEATURES) + 2)))
-    explained: FloatArray = field(default_factory=lambda: np.diag([0.0, MONTHS]))
+    estimate: FloatArray = field(default_factory=lambda: np.zeros((PARTS, len(FEATURES) + 2)))
+    explained: FloatArray = field(default_factory=lambda: np.diag([0.0, MONTHS, 0.0]))
 
     def wait(self, hours: float) -> SlowDrift:
         """Return the estimate after some hours without a set."""
@@ -98,8 +104,12 @@ class SlowDrift:
         )
 
     def compute_variance(self, slow: float) -> FloatArray:
-        """Return the covariance of the two parts, shape (2, 2); ``slow``: variance of the first one."""
-        return np.asarray(np.diag([slow, MONTHS]) - self.explained)
+        """Return the covariance of the parts, shape (3, 3); ``slow``: variance of the first one."""
+        return np.asarray(np.diag([slow, MONTHS, 0.0]) - self.explained)
+
+    def reseat(self) -> SlowDrift:
+        """Return the estimate after a re-seat of the chain."""
+        return replace(self, explained=self.explained - np.diag([0.0, 0.0, RESEAT]))
 
     def add(self, white: FloatArray, hour: float, slow: float) -> SlowDrift:
         """Return the estimate after a set with these whitened features."""
@@ -144,14 +154,22 @@ class Hypotheses:
         distances = self.norm - 2.0 * (self.white @ set_white) + set_white @ set_white
         return np.asarray(np.maximum(distances, 0.0))
 
-    def compute_misfit(self, logs: FloatArray) -> float:
+    def compute_misfit(self, logs: FloatArray, slow: SlowDrift) -> float:
         """Return the smallest distance from any hypothesis and loss, over the limit of an unchanged sensor.
 
-        That sensor exceeds it at the rate `MISFIT_RATE`; above 1 no wall explains the set.
+        That sensor exceeds it at the rate `MISFIT_RATE`; above 1 no wall explains the set, neither with nor
+        without what ``slow`` has estimated, of old and of new losses.
         """
         p = len(FEATURES)
         limit = p * float(scipy.special.fdtri(p, self.calibration.dof, 1.0 - MISFIT_RATE))
-        return float(self.compute_distances(logs).min()) / limit
+        nearest = float(self.compute_distances(logs).min())
+        if nearest > limit:
+            *offset, share, _ = slow.estimate.sum(axis=0).tolist()
+            rest = (logs - self.calibration.mean) @ self.calibration.whitening - offset
+            along, kept = 2.0 * (self.white @ rest), 1.0 - share
+            walls = np.minimum(self.norm - along, kept * (kept * self.norm - along))
+            nearest = min(nearest, float(walls.min() + rest @ rest))
+        return nearest / limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,6 +262,8 @@ def add_set(
     window, moved = _move_on(state, hour)
     calibration, slow = hypotheses.calibration, state.slow.wait(hour - state.hour)
     set_white = (logs - calibration.mean) @ calibration.whitening
+    if _is_reseated(slow, calibration, set_white):
+        slow = slow.reseat()
     # Variance of the set about its prediction.
     variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
     *offset, share, at = slow.estimate.sum(axis=0).tolist()
@@ -266,6 +286,15 @@ def add_set(
     moved = np.zeros_like(moved)
     moved[of_row, column] = before * np.exp(np.minimum(evidence, 0.0))
     return _keep(state, window, moved, hour, slow.add(set_white, hour, calibration.slow))
+
+
+def _is_reseated(slow: SlowDrift, calibration: Calibration, set_white: FloatArray) -> bool:
+    """Check whether the incident wave, which no wall changes, is beyond what the drift explains."""
+    to_logs = np.linalg.inv(calibration.whitening)[:, OF_WALL:]
+    rest = (set_white - slow.estimate.sum(axis=0)[: len(FEATURES)]) @ to_logs
+    variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
+    distance = rest @ np.linalg.solve(to_logs.T @ to_logs, rest) / (len(rest) * variance)
+    return bool(distance > scipy.special.fdtri(len(rest), calibration.dof, 1.0 - RESEAT_RATE))
 
 
 def wait(state: WallState, hour: float) -> WallState:
@@ -365,7 +394,8 @@ def unpack_state(packed: bytes) -> WallState:
         raise InvalidInputError(f"{len(packed)} bytes are no state of a wall ({error})") from error
     grains = np.cumsum(steps, axis=2, dtype=np.uint8).transpose(1, 2, 0)
     slow = SlowDrift(
-        estimate=np.array(parts[:-4]).reshape(2, -1), explained=np.array(parts[-4:]).reshape(2, 2)
+        estimate=np.array(parts[: -(PARTS**2)]).reshape(PARTS, -1),
+        explained=np.array(parts[-(PARTS**2) :]).reshape(PARTS, PARTS),
     )
     empty = np.zeros((int(n), len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
     window = slice(int(first), int(first) + steps.shape[2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -52,17 +52,21 @@ class WallModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pool:
-    """Mean ln features of the sets since the stored state of the filter, their number, the last hour."""
+    """Mean ln features of the sets since the stored state of the filter, their number, hour of the last one.
+
+    ``reseated``: the other cause that the last set is diagnosed with is part of the slow drift.
+    """
 
     mean: tuple[float, ...] = ()
     n: int = 0
     hour: float = 0.0
+    reseated: bool = False
 
     def add(self, logs: FloatArray, hour: float) -> Pool:
         """Return the pool with one more set."""
         mean = np.array(self.mean) if self.n else np.zeros(len(logs))
         mean += (logs - mean) / (self.n + 1.0)
-        return Pool(mean=tuple(mean.tolist()), n=self.n + 1, hour=hour)
+        return replace(self, mean=tuple(mean.tolist()), n=self.n + 1, hour=hour)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +76,8 @@ class WallThickness:
     Attributes
     ----------
     quality
-        ``suspect``: the set itself is not used, or only an upper end is known; ``bad``: no number.
+        ``suspect``: the set is diagnosed as one of sensor or coupling, or only an upper end is known;
+        ``bad``: no number.
     thickness_m, interval_low_m, interval_high_m
         Median and 90 % interval.
     loss_rate_m_per_s
@@ -173,7 +178,7 @@ def estimate_thickness(
     logs: FloatArray,
     hour: float,
     *,
-    unused: str = "",
+    other_cause: str = "",
 ) -> tuple[posterior.WallState, Pool, WallThickness | None]:
     """Return state and pool after a set with these ln features, and the wall thickness.
 
@@ -182,39 +187,46 @@ def estimate_thickness(
 
     Parameters
     ----------
-    unused
-        Why the set says nothing about the wall: then the state only moves on in time.
+    other_cause
+        Diagnosis of the set, if not the wall. The first such set is one of a re-seated chain
+        (`posterior.SlowDrift`). It is no error if no wall explains it: then the state only moves on in time.
 
     Raises
     ------
     InvalidInputError
         The set is earlier than the state.
     """
-    refused = ""
     if not np.isfinite(logs).all():
         missing = ", ".join(name for name, value in zip(FEATURES, logs, strict=True) if math.isnan(value))
-        refused = f"no value of {missing}"
-    elif not unused and (misfit := model.hypotheses.compute_misfit(logs)) > 1.0:
-        refused = f"not explained by any wall: {misfit:.2g} x the limit. Inspect sensor and contact"
-    if refused:
-        return state, pool, WallThickness(quality="bad", reason=refused)
-    pool = pool if unused else pool.add(logs, hour)
+        return state, pool, WallThickness(quality="bad", reason=f"no value of {missing}")
+    misfit = model.hypotheses.compute_misfit(logs, state.slow.wait(hour - state.hour))
+    if misfit > 1.0 and not other_cause:
+        reason = f"not explained by any wall: {misfit:.2g} x the limit. Inspect sensor and contact"
+        return state, pool, WallThickness(quality="bad", reason=reason)
+    if not other_cause:
+        pool = replace(pool, reseated=False)
+    elif misfit <= 1.0 and not pool.reseated:
+        state, pool = replace(state, slow=state.slow.reseat()), Pool(reseated=True)  # of sets before it
+    if misfit <= 1.0:
+        pool = pool.add(logs, hour)
     if hour - state.hour < STEP_H:
         return state, pool, None
     if pool.n:
         state = posterior.add_set(state, model.hypotheses, np.array(pool.mean), pool.hour)
     if state.hour < hour:
         state = posterior.wait(state, hour)
+    used = "" if misfit <= 1.0 else ": not used"
+    note = f"diagnosed as a change of the {other_cause}{used}" if other_cause else ""
     state = posterior.round_state(state)
-    return state, Pool(), describe_state(state, model, unused)
+    return state, Pool(hour=pool.hour, reseated=pool.reseated), describe_state(state, model, note)
 
 
-def describe_state(state: posterior.WallState, model: WallModel, unused: str = "") -> WallThickness:
-    """Return the wall thickness of a state; ``unused`` is why its last set was not used, if it was not."""
+def describe_state(state: posterior.WallState, model: WallModel, note: str = "") -> WallThickness:
+    """Return the wall thickness of a state; with a ``note`` on its last set it is ``suspect``."""
     loss, rate = posterior.estimate_loss(state), posterior.estimate_rate(state)
     is_open, initial_m = loss.high > posterior.LARGEST_VALID, model.initial_m
     bound = f"at least {1e3 * initial_m * loss.low:.2f} mm lost" if is_open else ""
-    reason = "; ".join(filter(None, (unused, bound)))
+    reason = "; ".join(filter(None, (note, bound)))
     limit = None if model.minimum_m is None else 1.0 - model.minimum_m / initial_m
     left = None if limit is None else posterior.forecast(state, limit)
     ahead_h = min(HORIZON * (state.hour - model.baseline_h), math.inf if left is None else left.median)

@@ -176,7 +176,7 @@ class WallRow(RowOfSet):
     position: Position
     due_h: DueH
     extractor_version: Annotated[str, "Version of the code that computed the features"]
-    quality: Annotated[Quality, "`suspect`: the set is not used, or only an upper end is known"]
+    quality: Annotated[Quality, "`suspect`: diagnosed as sensor or coupling, or only an upper end is known"]
     thickness_m: Annotated[float | None, "Wall thickness, median"] = None
     interval_low_m: Annotated[float | None, "Lower end of the 90 % interval of `thickness_m`"] = None
     interval_high_m: Annotated[float | None, "Upper end of the 90 % interval of `thickness_m`"] = None

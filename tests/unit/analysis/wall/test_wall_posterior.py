@@ -73,7 +73,7 @@ def run(bank, changes, seed, losses, **how):
     hypotheses, state = compare(calibration, changes), begin(len(changes), 24.0)
     states = []
     for hour, logs in zip(HOURS, sets, strict=False):
-        assert hypotheses.compute_misfit(logs) < 1.0
+        assert hypotheses.compute_misfit(logs, state.slow) < 1.0
         state = add_set(state, hypotheses, logs, hour)
         states.append(state)
     return states
@@ -126,8 +126,8 @@ def test_a_set_of_another_sensor_is_not_explained_and_a_sound_one_bounds_the_los
     baseline, sets = draw_sets(5, np.zeros(1))
     hypotheses, before = compare(calibrate(bank, baseline), changes), begin(len(changes), 24.0)
     other_sensor = sets[0] + np.array([0.0, 0.0, 0.0, 0.2, -1.0])
-    assert hypotheses.compute_misfit(other_sensor) > 1.0
-    assert hypotheses.compute_misfit(sets[0]) < 1.0
+    assert hypotheses.compute_misfit(other_sensor, before.slow) > 1.0
+    assert hypotheses.compute_misfit(sets[0], before.slow) < 1.0
     seen = add_set(before, hypotheses, sets[0], 41.0)
     assert posterior.estimate_loss(seen).high < posterior.estimate_loss(wait(before, 41.0)).high
 
@@ -153,7 +153,7 @@ def test_the_slow_drift_is_that_of_a_kalman_filter_on_a_sound_wall(bank, changes
     # The same by the covariance of all sets: drift of days, of months since the state's begin, white noise.
     white = (sets - calibration.mean) @ calibration.whitening
     apart, both = np.abs(hours[:, None] - hours), hours[:, None] + hours - 2.0 * 24.0
-    days, months = posterior.MEMORY_H
+    days, months, _ = posterior.MEMORY_H
     parts = calibration.slow * np.exp(-apart / days), np.exp(-apart / months) - np.exp(-both / months)
     parts = parts[0], posterior.MONTHS * parts[1]
     of_sets = parts[0] + parts[1] + (1.0 - calibration.slow) * np.eye(4)
@@ -175,8 +175,8 @@ def test_the_slow_drift_follows_from_the_loss_that_a_rate_had_before(bank, chang
     calibration = calibrate(bank, draw_sets(11, [])[0])
     rate = RATES_PER_H[8]
     offset = np.array([0.4, -0.2, 0.1, 0.0, 0.3])
-    estimate = np.outer([0.75, 0.25], [*offset.tolist(), 0.6, 0.6 * 40.0])
-    slow = posterior.SlowDrift(estimate=estimate, explained=np.array([[0.1, 0.0], [0.0, posterior.MONTHS]]))
+    estimate = np.outer([0.75, 0.25, 0.0], [*offset.tolist(), 0.6, 0.6 * 40.0])
+    slow = posterior.SlowDrift(estimate=estimate, explained=np.diag([0.1, posterior.MONTHS, 0.0]))
     before = replace(state_of([(0.2, 0.0, 0.5), (0.2, rate, 0.5)]), slow=slow)
     logs = calibration.mean + np.array([0.03, -0.1, -0.07, 0.0, 0.01])
     after = add_set(before, compare(calibration, changes[:1]), logs, 100.0, exponent=1.0)
@@ -190,6 +190,35 @@ def test_the_slow_drift_follows_from_the_loss_that_a_rate_had_before(bank, chang
     found = after.joint[0, 40, 8] / after.joint[0, 40, 0]
     assert then < 0.18
     assert found == pytest.approx(np.exp(evidence[1] - evidence[0]), rel=1e-3)
+
+
+def test_a_shift_of_the_incident_wave_is_a_reseat_and_one_that_a_wall_may_cause_is_not(bank, changes):
+    hypotheses, before = compare(calibrate(bank, draw_sets(11, [])[0]), changes), begin(len(changes), 24.0)
+    slow = wait(before, 41.0).slow
+    for shift, variance in (([0, 0, 0, 0, 0.3], posterior.RESEAT), ([0, -0.3, -0.2, 0, 0], 0.0)):
+        after = add_set(before, hypotheses, hypotheses.calibration.mean + shift, 41.0).slow
+        expected = slow.reseat() if variance else slow
+        added = expected.add(np.zeros(5), 41.0, hypotheses.calibration.slow)
+        assert np.allclose(after.explained, added.explained)
+        assert (after.estimate[2, 5] > 0.0) == bool(variance), "the offset is what this set shows"
+        # It stays: months later nothing of it is lost, and a later set counts from it.
+        assert np.array_equal(after.wait(5000.0).estimate[2], after.estimate[2])
+
+
+def test_a_set_beside_an_offset_that_is_known_is_explained(bank, changes):
+    hypotheses = compare(calibrate(bank, draw_sets(11, [])[0]), changes)
+    white = np.array([0.0, 0.0, 0.0, 7.0, 0.0])
+    logs = hypotheses.calibration.mean + white @ np.linalg.inv(hypotheses.calibration.whitening)
+    slow = posterior.SlowDrift()
+    assert hypotheses.compute_misfit(logs, slow) > 1.0
+    for hour in range(20):
+        slow = (slow if hour else slow.reseat()).add(white, float(hour), hypotheses.calibration.slow)
+    assert hypotheses.compute_misfit(logs, slow) < 0.1
+    assert hypotheses.compute_misfit(hypotheses.calibration.mean, slow) < 0.1
+    thinner = logs + changes[1, 100]
+    assert hypotheses.compute_misfit(thinner, slow) < 0.1
+    other_way = hypotheses.calibration.mean - white @ np.linalg.inv(hypotheses.calibration.whitening)
+    assert hypotheses.compute_misfit(other_way, slow) > 1.0
 
 
 def test_a_shift_that_stays_is_less_of_a_loss_than_one_that_grows(bank, changes):
@@ -326,27 +355,33 @@ def test_rates_move_losses_exactly_and_probability_stays_one():
 def test_truths_drawn_from_the_prior_have_uniform_ranks(bank, monkeypatch):
     """Simulation-based calibration (Talts et al., 2018) of the untempered filter without ambiguity.
 
-    Truth: hypothesis, rates and losses of the filter's own prior, sets with its own slow drift and scatter.
+    Truth: hypothesis, rates and losses of the filter's own prior, sets with its own slow drift and scatter,
+    and a re-seat that is known.
     """
+    monkeypatch.setattr(posterior, "RESEAT_RATE", 0.0)
     changes = predict_changes(bank)
     calibration = calibrate(bank, draw_sets(9, [])[0])
     random = np.random.default_rng(20)
     ranks = []
     hypotheses, color = compare(calibration, changes), np.linalg.inv(calibration.whitening)
     rate_change = posterior._compute_rate_change(4.0)
-    kept, sd = np.exp(-4.0 / np.array(posterior.MEMORY_H)), np.sqrt([calibration.slow, posterior.MONTHS])
+    kept = np.exp(-4.0 / np.array(posterior.MEMORY_H))
+    sd = np.sqrt([calibration.slow, posterior.MONTHS, posterior.RESEAT])
     for _ in range(1000):
         hypothesis = random.integers(len(changes))
         rate, cell = random.choice(RATES_PER_H, p=posterior._RATE_PRIOR), 0
-        slow = np.array([sd[0] * random.standard_normal(5), np.zeros(5)])
+        slow = np.array([sd[0] * random.standard_normal(5), np.zeros(5), np.zeros(5)])
         state = begin(len(changes), 0.0)
         for hour in (4.0, 8.0, 12.0, 16.0):
             # Between two losses of the grid the filter shares a probability: it moves to either.
             step = 4.0 * rate / LOSSES[1]
             cell = min(cell + int(step + random.random()), len(LOSSES) - 1)
             rate = random.choice(RATES_PER_H, p=rate_change[np.flatnonzero(rate == RATES_PER_H)[0]])
-            moves = (sd * np.sqrt(1.0 - kept**2))[:, None] * random.standard_normal((2, 5))
+            moves = (sd * np.sqrt(1.0 - kept**2))[:, None] * random.standard_normal((3, 5))
             slow = kept[:, None] * slow + moves
+            if hour == 12.0:
+                slow[2] = sd[2] * random.standard_normal(5)
+                state = replace(wait(state, hour), slow=state.slow.wait(4.0).reseat())
             t = slow.sum(axis=0) + (1.0 - calibration.slow) ** 0.5 * random.standard_normal(5)
             t /= np.sqrt(random.chisquare(calibration.dof) / calibration.dof)
             logs = calibration.mean + changes[hypothesis, cell] + t @ color
