@@ -7,7 +7,7 @@ Sets are those of `diagnoses.py`, one an hour for 600 h after the baseline of 20
 seated again, by `--times` the size of the level's own re-seats, in a sound wall and in one that corrodes
 evenly to 40 %; sensor faults are those of `diagnoses.py`. The recorder's own steps estimate the wall.
 Printed by level and case: coverage of 90 % intervals, intervals that exclude the sound wall, median upper end
-of the loss, sets that no wall explains (not used, or without a number), and alarms of a minimum at 10 % loss;
+of the loss, sets that no wall explains, and alarms of a minimum at 10 % loss;
 next to them, in brackets, the same if re-seats are not looked for.
 """
 
@@ -32,16 +32,15 @@ from diagnoses import (
     RULE,
     SENSOR_FAULTS,
     Case,
-    diagnose_sets,
     model_slopes,
     reseat_of,
     sets_of,
 )
-from wall_diagnoses import NAMES, OF_DIAGNOSIS, OF_POSTERIOR, shipped
+from wall_diagnoses import shipped
 
-from analysis.diagnosis.hypotheses import COUPLING, SENSOR
 from analysis.statistics.rules import AlarmState
 from analysis.wall import posterior
+from analysis.wall.bank import FEATURES
 from analysis.wall.calibration import calibrate
 from analysis.wall.thickness import Pool, WallModel, estimate_thickness, update_alarm
 from simulator.numerics.arrays import FloatArray
@@ -53,21 +52,18 @@ RESEATED = {
     "re-seat, corroding": replace(CORROSION, name="re-seat, corroding", ramp=SETS),
 }
 CASES: dict[str, Case] = RESEATED | {case.name: case for case in SENSOR_FAULTS}
+NEVER = 1e-300
 COLUMNS = ("covered %", "excludes sound %", "upper end", "not explained %", "alarms")
 
 
 def follow(level: str, case: Case, seed: int, times: float) -> list[list[float]]:
     """Return the `COLUMNS` of a run as the recorder has them, and if re-seats are not looked for."""
     model, (bank, changes) = list(MODELS)[seed % len(MODELS)], shipped()
-    logs, confirming, depths = sets_of(case, level, model, seed, NAMES, SETS)
+    sets, _, depths = sets_of(case, level, model, seed, FEATURES, SETS)
     if case.name in RESEATED:
         random, n = np.random.default_rng([seed, 1]), MODELS[model][0].bodies
-        shift = times * reseat_of(level, random, n) @ model_slopes(model, NAMES).of_place
-        logs[RESEAT_AT:] += shift
-        confirming[RESEAT_AT:] += shift
-    of_diagnosis = logs[:, OF_DIAGNOSIS], confirming[:, OF_DIAGNOSIS]
-    causes = diagnose_sets(case, level, model, seed, *of_diagnosis, depths)["causes"]
-    logs = bank.sound + logs[:, OF_POSTERIOR]
+        sets[RESEAT_AT:] += times * reseat_of(level, random, n) @ model_slopes(model, FEATURES).of_place
+    logs = bank.sound + sets
     wall = WallModel(
         hypotheses=posterior.compare(calibrate(bank, logs[:BASELINE]), changes),
         curves=posterior.list_curves(bank),
@@ -75,29 +71,27 @@ def follow(level: str, case: Case, seed: int, times: float) -> list[list[float]]
         baseline_h=0.5 * (BASELINE - 1),
         minimum_m=(1.0 - LOSS) * bank.thickness_m,
     )
-    others = [cause if cause in (SENSOR, COUPLING) else "" for cause in causes]
-    found = [count(wall, logs, depths, others)]
-    with patch.object(posterior, "RESEAT_RATE", 0.0):
-        return [*found, count(wall, logs, depths, [""] * len(others))]
+    found = [count(wall, logs, depths)]
+    with patch.object(posterior, "RESEAT_ODDS", NEVER):
+        return [*found, count(wall, logs, depths)]
 
 
-def count(wall: WallModel, logs: FloatArray, depths: FloatArray, others: list[str]) -> list[float]:
+def count(wall: WallModel, logs: FloatArray, depths: FloatArray) -> list[float]:
     """Return the `COLUMNS` of a run."""
     state, pool, alarm = posterior.begin(len(wall.curves), wall.baseline_h), Pool(), AlarmState()
     rows, refused, alarms = [], 0, 0
-    for k, other in enumerate(others, BASELINE):
-        before = state
-        state, pool, one = estimate_thickness(wall, state, pool, logs[k], float(k), other_cause=other)
-        refused += one is not None and (one.quality == "bad" or one.reason.endswith("not used"))
+    for k in range(BASELINE, len(logs)):
+        state, pool, one = estimate_thickness(wall, state, pool, logs[k], float(k))
         if one is None or one.quality == "bad":
+            refused += one is not None
             continue
         loss = posterior.estimate_loss(state)
         rows.append([loss.low <= depths[k] <= loss.high, loss.low > 0.0, loss.high])
         active = alarm.active
-        alarm = update_alarm(alarm, one if pool.hour > before.hour else None, RULE)
+        alarm = update_alarm(alarm, one, RULE)
         alarms += alarm.active and not active
     covered, excluded, high = np.array(rows, dtype=np.float64).T
-    shares = [100.0 * covered.mean(), 100.0 * excluded.mean(), np.median(high), 100.0 * refused / len(others)]
+    shares = [100.0 * covered.mean(), 100.0 * excluded.mean(), np.median(high), 100.0 * refused / SETS]
     return [*map(float, shares), float(alarms)]
 
 

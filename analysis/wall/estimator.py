@@ -95,7 +95,7 @@ class WallEstimator:
         baseline
             Its sets.
         other_cause
-            Diagnosis of the set, if not the wall: then the chain counts as re-seated.
+            Diagnosis of the set, if not the wall.
         """
         self._bank = self._bank or self._open_bank()
         if self._bank is None:
@@ -123,9 +123,7 @@ class WallEstimator:
             other_cause=other_cause,
         )
         packed = track.packed if after is before else pack(after)
-        # Without a set since the last step it counts only below the minimum: time alone raises no alarm.
-        counts = pool.hour > before.hour or track.alarm.recent[-1:] == (True,)
-        alarm = update_alarm(track.alarm, found if counts else None, self._rule)
+        alarm = update_alarm(track.alarm, found, self._rule)
         track = replace(track, packed=packed, pool=pool, alarm=alarm)
         arrays.last = track, after
         return track, found

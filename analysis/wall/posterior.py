@@ -40,9 +40,8 @@ MEMORY_H, MONTHS = (150.0, 2500.0, math.inf), 1.5
 """Correlation times of the slow drift of days (`Calibration.slow`) and of that of months, and the variance of
 the latter in those of a set: healthy sets over a year at three levels of the twin, even seeds. What a re-seat
 of the chain adds stays."""
-RESEAT, RESEAT_RATE = 4.0, 1e-3
-"""Variance that a re-seat of the chain adds, in those of a set, and the rate at which the incident wave of an
-unchanged sensor is taken for that of a re-seated one."""
+RESEAT, RESEAT_ODDS = 4.0, 0.01
+"""Variance that a re-seat of the chain adds, in those of a set, and its prior odds in a step."""
 TEMPER = 0.8
 """Exponent of a set's likelihood."""
 FACTORS, SOLID_FACTORS = 3, 15
@@ -262,8 +261,6 @@ def add_set(
     window, moved = _move_on(state, hour)
     calibration, slow = hypotheses.calibration, state.slow.wait(hour - state.hour)
     set_white = (logs - calibration.mean) @ calibration.whitening
-    if _is_reseated(slow, calibration, set_white):
-        slow = slow.reseat()
     # Variance of the set about its prediction.
     variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
     *offset, share, at = slow.estimate.sum(axis=0).tolist()
@@ -276,25 +273,31 @@ def add_set(
     # What a hypothesis takes for the slow drift follows from its loss at an earlier hour.
     hours = hour - at / share if share else 0.0
     cells = np.rint(np.minimum(RATES_PER_H * hours / LOSSES[1], len(LOSSES))).astype(int)
-    evidence = np.empty((len(loss), len(RATES_PER_H)), dtype=np.float32)
+    squares = np.empty((len(loss), len(RATES_PER_H)), dtype=np.float32)
     for passed in set(cells.tolist()):
         unexplained = rest + np.float32(share) * white[of_row, np.maximum(loss - passed, 0)]
-        squares = np.einsum("nf,nf->n", unexplained, unexplained) / np.float32(variance * calibration.dof)
-        evidence[:, cells == passed] = np.log1p(squares)[:, None]
-    evidence *= np.float32(-0.5 * exponent * (calibration.dof + len(FEATURES)))
+        squares[:, cells == passed] = np.einsum("nf,nf->n", unexplained, unexplained)[:, None]
+    squares /= np.float32(calibration.dof)
+    power = -0.5 * (calibration.dof + len(FEATURES))
+    evidence, density = _compute_evidence(before, squares, variance, power)
+    reseated, density_reseated = _compute_evidence(before, squares, variance + RESEAT, power)
+    if density_reseated + math.log(RESEAT_ODDS) > density:
+        slow, evidence = slow.reseat(), reseated
+    evidence *= np.float32(exponent)
     evidence -= evidence[before > 0.0].max()
     moved = np.zeros_like(moved)
     moved[of_row, column] = before * np.exp(np.minimum(evidence, 0.0))
     return _keep(state, window, moved, hour, slow.add(set_white, hour, calibration.slow))
 
 
-def _is_reseated(slow: SlowDrift, calibration: Calibration, set_white: FloatArray) -> bool:
-    """Check whether the incident wave, which no wall changes, is beyond what the drift explains."""
-    to_logs = np.linalg.inv(calibration.whitening)[:, OF_WALL:]
-    rest = (set_white - slow.estimate.sum(axis=0)[: len(FEATURES)]) @ to_logs
-    variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
-    distance = rest @ np.linalg.solve(to_logs.T @ to_logs, rest) / (len(rest) * variance)
-    return bool(distance > scipy.special.fdtri(len(rest), calibration.dof, 1.0 - RESEAT_RATE))
+def _compute_evidence(
+    before: NDArray[np.float32], squares: NDArray[np.float32], variance: float, power: float
+) -> tuple[NDArray[np.float32], float]:
+    """Return the ln likelihood of a set by cell, and the ln of its mean, but for a constant of all sets."""
+    evidence = np.log1p(squares / np.float32(variance)) * np.float32(power)
+    largest = float(evidence[before > 0.0].max())
+    mean = (before * np.exp(np.minimum(evidence - np.float32(largest), 0.0))).sum(dtype=np.float64)
+    return evidence, largest + math.log(float(mean)) - 0.5 * len(FEATURES) * math.log(variance)
 
 
 def wait(state: WallState, hour: float) -> WallState:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -52,21 +52,17 @@ class WallModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pool:
-    """Mean ln features of the sets since the stored state of the filter, their number, hour of the last one.
-
-    ``reseated``: the other cause that the last set is diagnosed with is part of the slow drift.
-    """
+    """Mean ln features of the sets since the stored state of the filter, their number, the last hour."""
 
     mean: tuple[float, ...] = ()
     n: int = 0
     hour: float = 0.0
-    reseated: bool = False
 
     def add(self, logs: FloatArray, hour: float) -> Pool:
         """Return the pool with one more set."""
         mean = np.array(self.mean) if self.n else np.zeros(len(logs))
         mean += (logs - mean) / (self.n + 1.0)
-        return replace(self, mean=tuple(mean.tolist()), n=self.n + 1, hour=hour)
+        return Pool(mean=tuple(mean.tolist()), n=self.n + 1, hour=hour)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,8 +184,7 @@ def estimate_thickness(
     Parameters
     ----------
     other_cause
-        Diagnosis of the set, if not the wall. The first such set is one of a re-seated chain
-        (`posterior.SlowDrift`). It is no error if no wall explains it: then the state only moves on in time.
+        Diagnosis of the set, if not the wall: its quality is ``suspect``.
 
     Raises
     ------
@@ -200,25 +195,16 @@ def estimate_thickness(
         missing = ", ".join(name for name, value in zip(FEATURES, logs, strict=True) if math.isnan(value))
         return state, pool, WallThickness(quality="bad", reason=f"no value of {missing}")
     misfit = model.hypotheses.compute_misfit(logs, state.slow.wait(hour - state.hour))
-    if misfit > 1.0 and not other_cause:
+    if misfit > 1.0:
         reason = f"not explained by any wall: {misfit:.2g} x the limit. Inspect sensor and contact"
         return state, pool, WallThickness(quality="bad", reason=reason)
-    if not other_cause:
-        pool = replace(pool, reseated=False)
-    elif misfit <= 1.0 and not pool.reseated:
-        state, pool = replace(state, slow=state.slow.reseat()), Pool(reseated=True)  # of sets before it
-    if misfit <= 1.0:
-        pool = pool.add(logs, hour)
+    pool = pool.add(logs, hour)
     if hour - state.hour < STEP_H:
         return state, pool, None
-    if pool.n:
-        state = posterior.add_set(state, model.hypotheses, np.array(pool.mean), pool.hour)
-    if state.hour < hour:
-        state = posterior.wait(state, hour)
-    used = "" if misfit <= 1.0 else ": not used"
-    note = f"diagnosed as a change of the {other_cause}{used}" if other_cause else ""
-    state = posterior.round_state(state)
-    return state, Pool(hour=pool.hour, reseated=pool.reseated), describe_state(state, model, note)
+    after = posterior.add_set(state, model.hypotheses, np.array(pool.mean), hour)
+    note = f"diagnosed as a change of the {other_cause}" if other_cause else ""
+    state = posterior.round_state(after)
+    return state, Pool(), describe_state(state, model, note)
 
 
 def describe_state(state: posterior.WallState, model: WallModel, note: str = "") -> WallThickness:
