@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.errors import InvalidInputError
 from analysis.waves.features import extract_from_volts
-from analysis.waves.record_reduction import FloatArray
+from analysis.waves.record_reduction import ExtractionSettings, FloatArray
 from daq_service.assessment.wall_bank import RECORDER, compute_mean_loss, list_members, make_impact
 from daq_service.processes.installation import require_extras
 from simulator.parameters.chain import ChainParameters
@@ -32,9 +32,11 @@ class SimulatedShot:
 
 
 def simulate_curve_shot(
-    chain: ChainParameters, plate: PlateParameters, curve: str, loss: float
+    chain: ChainParameters, plate: PlateParameters, extraction: ExtractionSettings, curve: str, loss: float
 ) -> SimulatedShot:
     """Simulate a shot on the wall of a curve of the bank, at a loss averaged over the estimand's disc.
+
+    Its ISW is found with the extraction settings of the position.
 
     Raises
     ------
@@ -60,10 +62,7 @@ def simulate_curve_shot(
         isw_time_s=0.0,
         isw_amplitude_n=1.0,
     )
-    recorder = RECORDER.for_chain(chain)
-    rate_hz, before = recorder.adc.sample_rate_hz, recorder.adc.pretrigger_samples
-    time_s = np.arange(-before, recorder.adc.record_samples) / rate_hz
-    found = extract_from_volts(
-        simulated.to_volts(time_s, 0.0, 1.0), rate_hz, before, settings=recorder.extraction
-    )
+    rate_hz, before = RECORDER.adc.sample_rate_hz, RECORDER.adc.pretrigger_samples
+    time_s = np.arange(-before, RECORDER.adc.record_samples) / rate_hz
+    found = extract_from_volts(simulated.to_volts(time_s, 0.0, 1.0), rate_hz, before, settings=extraction)
     return replace(simulated, isw_time_s=found.isw_time_s, isw_amplitude_n=found.isw_amplitude_v)

@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
 from analysis.errors import AnalysisError
+from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.assessment.twin_waveform import SimulatedShot, simulate_curve_shot
 from daq_service.background.wall_curves import LOW_PRIORITY
 from daq_service.processes.installation import MissingExtraError
@@ -18,8 +19,8 @@ from simulator.errors import SimulatorError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import PlateParameters
 
-Shot = tuple[ChainParameters, PlateParameters, str, float]
-"""Chain, plate, curve and loss, as `simulate_curve_shot` takes them."""
+Shot = tuple[ChainParameters, PlateParameters, ExtractionSettings, str, float]
+"""Arguments of `simulate_curve_shot`."""
 KEPT = 64
 """Shots in memory, some 30 kB each; then all are forgotten."""
 

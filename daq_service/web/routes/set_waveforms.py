@@ -113,8 +113,9 @@ def get_twin_waveform(context: ContextOf, position: str, set_index: SetOfPath) -
         )
     place = context.settings.positions[position]
     loss = round(1.0 - (wall.thickness_m or 0.0) / place.plate.thickness_m, 3)
+    extraction = derive_extraction_settings({position: place})[position]
     try:
-        shot = context.twin_waveforms.find((place.chain, place.plate, wall.curve or "", loss))
+        shot = context.twin_waveforms.find((place.chain, place.plate, extraction, wall.curve or "", loss))
         record = context.archive.read_waveform(SetReference(set_row.file), position, 0)
     except MissingExtraError as error:
         raise Problem("missing-extra", str(error)) from error

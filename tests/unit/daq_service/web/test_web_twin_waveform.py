@@ -6,6 +6,7 @@ from support.served_web import served
 from support.small_experiment import run, small_settings
 
 from daq_service import client
+from daq_service.acquisition.shot_features import derive_extraction_settings
 from daq_service.assessment.wall_bank import compute_mean_loss
 from daq_service.background import twin_waveforms
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -22,9 +23,10 @@ TOLERANCE = 0.02
 def filled(tmp_path_factory):
     """Return settings and folder of three sets of B on a wall with a square patch, and its wall thickness."""
     folder = tmp_path_factory.mktemp("twin") / "data"
+    waves = {"isw_fwhm_s": 60e-6}
     settings = small_settings(
         schedule={"end_h": 1.5},
-        positions={"B": {"method": "solitary_wave"}, "A": {"method": "pulse_echo"}},
+        positions={"B": {"method": "solitary_wave", "waves": waves}, "A": {"method": "pulse_echo"}},
         twin={"thinning": {"B": {"reference_h": 1.5, "depth_fraction": DEPTH, "unevenness": 0.0}}},
     )
     assert run(settings, folder)
@@ -73,7 +75,10 @@ def test_the_waveform_agrees_with_the_measured_one_and_has_its_incident_wave(fil
 def test_the_answer_is_202_until_the_simulation_is_done_and_names_what_is_missing(filled, monkeypatch):
     shots = iter([None, MissingExtraError("numba is not installed")])
 
+    asked = []
+
     def find(self, shot):
+        asked.append(shot)
         if isinstance(found := next(shots), Exception):
             raise found
         return found
@@ -85,6 +90,9 @@ def test_the_answer_is_202_until_the_simulation_is_done_and_names_what_is_missin
         assert (waiting.json()["voltage_v"], waiting.json()["reason"]) == (None, "the twin simulates it")
         refused = api.get("/api/v1/sets/B/2/twin")
         assert (refused.status_code, refused.json()["detail"]) == (501, "numba is not installed")
+    place, (_, _, extraction, curve, _) = filled[0].positions["B"], asked[-1]
+    assert (curve, extraction.isw_fwhm_s) == (CURVE, 60e-6)
+    assert extraction == derive_extraction_settings({"B": place})["B"], "as for the features of shots"
 
 
 @pytest.mark.parametrize(("position", "index"), [("B", 0), ("A", 2), ("B", 7)])
