@@ -155,11 +155,10 @@ function timeline() {
   return new Timeline(address.view.axis, data.info?.clock.epoch_utc ?? "1970-01-01T00:00:00Z");
 }
 
-/** Return the hours that all charts show without a zoom: to the newest set of all positions. */
+/** Return the hours that charts show without a zoom: to the newest set of all positions. */
 function fullHours() {
   const newest = [...data.trends.values(), ...otherTests.trends.values()].map((one) => one.columns.due_h.at(-1) ?? 0);
-  const ahead = [...data.walls.values()].map((wall) => wall.forecast_h ?? 0);
-  return fullSpan(Math.max(0, ...newest, ...ahead), data.info?.schedule.end_h ?? 1);
+  return fullSpan(Math.max(0, ...newest), data.info?.schedule.end_h ?? 1);
 }
 
 /** Return the hour of the test by its own clock; a simulated clock does not advance between two updates. */

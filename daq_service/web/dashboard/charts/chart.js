@@ -28,7 +28,7 @@ import { dataOf, makePlot } from "./plot.js";
  *
  * @typedef {object} Host what all charts of the page share
  * @property {() => import("./gestures.js").Span | null} span null: the complete test
- * @property {() => import("./gestures.js").Span} full hours of the complete test
+ * @property {() => import("./gestures.js").Span} full hours of the complete test; a chart adds those of its forecast
  * @property {(span: import("./gestures.js").Span | null, gesture?: boolean) => void} show
  * @property {() => import("../timeline.js").Timeline} timeline
  * @property {(position: string, setIndex: number) => void} open
@@ -112,7 +112,8 @@ export class SolimonChart extends HTMLElement {
   /** @param {ChartOptions} options @param {Host} host */
   configure(options, host) {
     this.options = options;
-    this.host = host;
+    const ahead = () => this.series.lines.map((line) => line.forecast?.hours[1] ?? 0);
+    this.host = { ...host, full: () => [0, Math.max(host.full()[1], ...ahead())] };
     this.heading.id = `${this.id}-title`;
     setText(this.heading, options.title);
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
