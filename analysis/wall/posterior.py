@@ -9,8 +9,8 @@ were chosen on even seeds of `benchmarks/wall_thickness.py` and are shown on odd
 
 from __future__ import annotations
 
-import bz2
 import math
+import zlib
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from statistics import NormalDist
@@ -72,7 +72,7 @@ GRAINS = 51
 """Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
 PARTS = len(MEMORY_H)
 """Of the slow drift."""
-HEAD = 3 + PARTS * (len(FEATURES) + 2) + PARTS**2
+HEAD = 4 + PARTS * (len(FEATURES) + 2) + PARTS**2
 """Numbers before the probabilities in a stored state."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
@@ -229,9 +229,9 @@ def compare(calibration: Calibration, changes: FloatArray) -> Hypotheses:
     """Return the hypotheses with these changes (`predict_changes`) for a calibrated sensor."""
     white = changes @ calibration.whitening
     norm = np.einsum("hlf,hlf->hl", white, white)
-    return Hypotheses(
-        calibration=calibration, white=np.nan_to_num(white), norm=np.nan_to_num(norm, nan=np.inf)
-    )
+    past = np.isnan(norm)
+    white[past], norm[past] = 0.0, np.inf
+    return Hypotheses(calibration=calibration, white=white, norm=norm)
 
 
 def begin(n_hypotheses: int, hour: float) -> WallState:
@@ -264,7 +264,7 @@ def add_set(
     # Variance of the set about its prediction.
     variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
     *offset, share, at = slow.estimate.sum(axis=0).tolist()
-    of_row, column = np.nonzero(moved.any(axis=2) & np.isfinite(hypotheses.norm[:, window]))
+    of_row, column = np.nonzero((moved @ _ALL_RATES > 0.0) & np.isfinite(hypotheses.norm[:, window]))
     before = moved[of_row, column]
     if not before.any():  # each is past its curve: the set excludes none of them
         return wait(state, hour)
@@ -308,7 +308,7 @@ def wait(state: WallState, hour: float) -> WallState:
 def estimate_loss(state: WallState, ambiguity: float = AMBIGUITY) -> Quantiles:
     """Return the loss of wall as a fraction of the wall at the baseline."""
     values, index = _spread_losses(ambiguity)
-    return _take_quantiles(values, _sum_by_loss(state.joint)[index])
+    return _take_quantiles(values, _sum_by_loss(state)[index])
 
 
 @lru_cache(maxsize=4)
@@ -325,7 +325,7 @@ def _spread_losses(ambiguity: float) -> tuple[FloatArray, NDArray[np.intp]]:
 
 def estimate_rate(state: WallState) -> Quantiles:
     """Return the rate of loss per hour, as a fraction of the wall at the baseline."""
-    return _find_quantiles(RATES_PER_H, state.joint.sum(axis=(0, 1), dtype=np.float64))
+    return _find_quantiles(RATES_PER_H, _sum_by_cell(state).sum(axis=0))
 
 
 def forecast(state: WallState, loss: float) -> Quantiles:
@@ -334,7 +334,7 @@ def forecast(state: WallState, loss: float) -> Quantiles:
     The rate stays as it is.
     """
     hours, index = _spread_hours(loss)
-    return _take_quantiles(hours, state.joint.sum(axis=0, dtype=np.float64).ravel()[index])
+    return _take_quantiles(hours, _sum_by_cell(state).ravel()[index])
 
 
 @lru_cache(maxsize=8)
@@ -354,7 +354,7 @@ def predict_loss(state: WallState, hours: float) -> Quantiles:
 
     The rate stays as it is.
     """
-    weights = state.joint.sum(axis=0, dtype=np.float64)
+    weights = _sum_by_cell(state)
     loss, rate = np.nonzero(weights)
     rates = RATES_PER_H[rate, None] * (RATES_PER_H[2] / RATES_PER_H[1]) ** _IN_CELL
     later = (LOSSES[loss, None] * _SPREAD)[:, :, None] + hours * rates[:, None, :]
@@ -366,56 +366,55 @@ def predict_loss(state: WallState, hours: float) -> Quantiles:
 
 def compute_exceedance(state: WallState, loss: float) -> float:
     """Return the probability that the loss is larger than a limit."""
-    of_loss = _sum_by_loss(state.joint)
+    of_loss = _sum_by_loss(state)
     return float(of_loss @ (LOSSES[:, None] * _SPREAD > loss).mean(axis=1))
 
 
 def round_state(state: WallState) -> WallState:
     """Return the state with the digits that it has when it was stored and read."""
-    window = _find_window(state)
-    return _spread(state, window, _to_probabilities(_find_grains(state.joint[:, window])))
+    window, joint = _find_window(state), np.zeros_like(state.joint)
+    joint[:, window] = _to_probabilities(_find_grains(state.joint[:, window]))
+    return replace(state, joint=joint)
 
 
 def pack_state(state: WallState) -> bytes:
     """Return a state in some ten to 200 kB; `unpack_state` returns the same bytes' state exactly."""
     window, slow = _find_window(state), state.slow
-    by_loss = np.ascontiguousarray(_find_grains(state.joint[:, window]).transpose(2, 0, 1))
-    steps = np.diff(by_loss, axis=2, prepend=np.uint8(0))  # neighbors are alike: that packs better
+    grains = np.ascontiguousarray(_find_grains(state.joint[:, window]).transpose(1, 2, 0))
+    steps = np.diff(grains, axis=0, prepend=np.uint8(0))  # neighbors are alike: that packs better
     parts = [*slow.estimate.ravel().tolist(), *slow.explained.ravel().tolist()]
-    head = [len(state.joint), window.start, state.hour, *parts]
-    return bz2.compress(np.array(head).tobytes() + steps.tobytes())
+    head = np.array([len(state.joint), window.start, window.stop, state.hour, *parts])
+    possible = grains > 0
+    content = head.tobytes() + np.packbits(possible).tobytes() + steps[possible].tobytes()
+    return zlib.compress(content, 4)  # bz2 takes 5 times as long for 10 % less
 
 
 def unpack_state(packed: bytes) -> WallState:
     """Return the state that `pack_state` packed; raise InvalidInputError for other bytes."""
     try:
-        content = bz2.decompress(packed)
-        n, first, hour, *parts = np.frombuffer(content[: 8 * HEAD]).tolist()
-        steps = np.frombuffer(content, dtype=np.uint8, offset=8 * HEAD)
-        steps = steps.reshape(len(RATES_PER_H), int(n), -1)
-    except (OSError, ValueError) as error:
+        content = np.frombuffer(zlib.decompress(packed), dtype=np.uint8)
+        n, first, last, hour, *parts = content[: 8 * HEAD].view(np.float64).tolist()
+        shape = int(last - first), len(RATES_PER_H), int(n)
+        possible = np.unpackbits(content[8 * HEAD :], count=math.prod(shape)).reshape(shape)
+        grains = np.zeros(shape, dtype=np.uint8)
+        grains[possible.view(bool)] = content[8 * HEAD - (-possible.size // 8) :]
+    except (zlib.error, ValueError) as error:
         raise InvalidInputError(f"{len(packed)} bytes are no state of a wall ({error})") from error
-    grains = np.cumsum(steps, axis=2, dtype=np.uint8).transpose(1, 2, 0)
+    for index in range(1, len(grains)):
+        grains[index] += possible[index] * grains[index - 1]
     slow = SlowDrift(
         estimate=np.array(parts[: -(PARTS**2)]).reshape(PARTS, -1),
         explained=np.array(parts[-(PARTS**2) :]).reshape(PARTS, PARTS),
     )
-    empty = np.zeros((int(n), len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
-    window = slice(int(first), int(first) + steps.shape[2])
-    return _spread(WallState(joint=empty, hour=hour, slow=slow), window, _to_probabilities(grains))
+    joint = np.zeros((int(n), len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
+    joint[:, int(first) : int(last)] = _to_probabilities(grains.transpose(2, 0, 1))
+    return WallState(joint=joint, hour=hour, slow=slow)
 
 
 def _find_window(state: WallState) -> slice:
     """Return the losses that are possible, with all in between."""
-    possible = np.flatnonzero(_sum_by_loss(state.joint))
+    possible = np.flatnonzero(_sum_by_loss(state))
     return slice(int(possible[0]), int(possible[-1]) + 1)
-
-
-def _spread(state: WallState, window: slice, joint: NDArray[np.float32]) -> WallState:
-    """Return a state with the probabilities of some losses; the others have none."""
-    whole = np.zeros_like(state.joint)
-    whole[:, window] = joint
-    return replace(state, joint=whole)
 
 
 def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]:
@@ -427,7 +426,7 @@ def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]
         raise InvalidInputError(f"a set at hour {hour:g} cannot follow hour {state.hour:g}: sort by time")
     n, hours = len(LOSSES), hour - state.hour
     per_cell_h = hours / float(LOSSES[1])
-    possible = np.flatnonzero(_sum_by_loss(state.joint))
+    possible = np.flatnonzero(_sum_by_loss(state))
     farthest = int(possible[-1]) + 2 + int(min(RATES_PER_H[-1] * per_cell_h, n))
     window = slice(int(possible[0]), min(farthest, n))
     joint = state.joint[:, window]
@@ -461,9 +460,16 @@ def _keep(
     return WallState(joint=joint, hour=hour, slow=slow)
 
 
-def _sum_by_loss(joint: NDArray[np.float32]) -> FloatArray:
+@lru_cache(maxsize=1)
+def _sum_by_loss(state: WallState) -> FloatArray:
     """Return the probability of each loss."""
-    return np.asarray((joint @ np.ones(len(RATES_PER_H), dtype=np.float32)).sum(axis=0, dtype=np.float64))
+    return np.asarray((state.joint @ _ALL_RATES).sum(axis=0, dtype=np.float64))
+
+
+@lru_cache(maxsize=1)
+def _sum_by_cell(state: WallState) -> FloatArray:
+    """Return the probability of each loss and rate, shape (161, 15)."""
+    return np.asarray(state.joint.sum(axis=0, dtype=np.float64))
 
 
 def _find_grains(joint: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -477,8 +483,8 @@ def _find_grains(joint: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 def _to_probabilities(grains: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return the probabilities that grains stand for, with sum 1."""
-    joint = _OF_GRAINS[np.ascontiguousarray(grains)]
-    return np.asarray(joint / joint.sum(dtype=np.float64), dtype=np.float32)
+    total = np.take(_OF_GRAINS, grains).sum(dtype=np.float64)
+    return np.take((_OF_GRAINS / total).astype(np.float32), grains)
 
 
 def _find_quantiles(values: FloatArray, weights: FloatArray) -> Quantiles:
@@ -496,6 +502,7 @@ def _take_quantiles(ordered: FloatArray, weights: FloatArray) -> Quantiles:
     return Quantiles(low=low, median=median, high=high)
 
 
+_ALL_RATES = np.ones(len(RATES_PER_H), dtype=np.float32)
 _RATE_PRIOR = RATES_PER_H**TILT
 _RATE_PRIOR *= (1.0 - STILL) / _RATE_PRIOR.sum()
 _RATE_PRIOR[0] = STILL

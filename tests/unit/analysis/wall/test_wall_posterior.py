@@ -1,5 +1,6 @@
 """Loss of wall from ln features: intervals over true losses, state, refusals. The bank is invented."""
 
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -116,7 +117,30 @@ def test_a_stored_state_has_no_probability_where_there_was_none():
     assert kept[0, 40].max() == pytest.approx(1e-3, rel=0.2)  # steps of 20 %
 
 
-@pytest.mark.parametrize("packed", [b"", b"other", posterior.bz2.compress(b"12345678" + b"\1" * 77)])
+def test_losses_with_others_between_them_that_have_no_probability_are_packed_exactly():
+    cells = [(loss, rate, 0.25 + loss) for loss in (0.0, 0.1, 0.105, 0.4, 0.8) for rate in (0.0, 1e-4, 1e-2)]
+    rounded = posterior.round_state(state_of(cells))
+    read = posterior.unpack_state(posterior.pack_state(rounded))
+    assert np.count_nonzero(read.joint) == len(cells)
+    np.testing.assert_array_equal(read.joint, rounded.joint)
+
+
+def test_a_state_is_summed_once_for_all_that_is_stated_about_it():
+    state = state_of([(0.1, 1e-3, 0.6), (0.2, 1e-3, 0.4)])
+    sums = (posterior._sum_by_loss, posterior._sum_by_cell)
+    before = [one.cache_info().misses for one in sums]
+    posterior.pack_state(state)
+    posterior.estimate_loss(state)
+    posterior.estimate_rate(state)
+    posterior.compute_exceedance(state, 0.15)
+    posterior.forecast(state, 0.5)
+    posterior.predict_loss(state, 10.0)
+    assert [one.cache_info().misses for one in sums] == [misses + 1 for misses in before]
+    other = state_of([(0.3, 1e-3, 1.0)])
+    assert posterior.estimate_loss(other).median > 0.25, "another state has its own"
+
+
+@pytest.mark.parametrize("packed", [b"", b"other", zlib.compress(b"12345678" + b"\1" * 77)])
 def test_other_bytes_are_no_state(packed):
     with pytest.raises(InvalidInputError, match="are no state of a wall"):
         posterior.unpack_state(packed)
