@@ -72,6 +72,8 @@ GRAINS = 51
 """Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
 PARTS = len(MEMORY_H)
 """Of the slow drift."""
+MOST_CELLS = 500_000
+"""Cells of a stored state, the most probable ones: some 180 kB."""
 HEAD = 4 + PARTS * (len(FEATURES) + 2) + PARTS**2
 """Numbers before the probabilities in a stored state."""
 MISFIT_RATE = 1e-4
@@ -478,7 +480,9 @@ def _find_grains(joint: NDArray[np.float32]) -> NDArray[np.uint8]:
         below = np.log(joint / joint.max())
     # Half a step below `LEAST` still is the last one: probabilities that were read give the same steps.
     steps = np.rint(GRAINS + (GRAINS - 1) / -math.log(LEAST) * below)
-    return np.asarray(np.maximum(steps, 0.0), dtype=np.uint8)
+    grains = np.asarray(np.maximum(steps, 0.0), dtype=np.uint8)
+    from_largest = np.cumsum(np.bincount(grains.ravel(), minlength=GRAINS + 1)[:0:-1])
+    return grains * (grains > GRAINS - np.searchsorted(from_largest, MOST_CELLS, side="right"))
 
 
 def _to_probabilities(grains: NDArray[np.uint8]) -> NDArray[np.float32]:

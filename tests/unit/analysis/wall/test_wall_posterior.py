@@ -1,6 +1,6 @@
 """Loss of wall from ln features: intervals over true losses, state, refusals. The bank is invented."""
 
-import zlib
+import bz2
 from dataclasses import replace
 
 import numpy as np
@@ -140,7 +140,18 @@ def test_a_state_is_summed_once_for_all_that_is_stated_about_it():
     assert posterior.estimate_loss(other).median > 0.25, "another state has its own"
 
 
-@pytest.mark.parametrize("packed", [b"", b"other", zlib.compress(b"12345678" + b"\1" * 77)])
+def test_a_stored_state_keeps_the_most_probable_cells(monkeypatch):
+    monkeypatch.setattr(posterior, "MOST_CELLS", 100)
+    joint = np.zeros((2, len(LOSSES), len(RATES_PER_H)), dtype=np.float32)
+    joint.flat[:400] = np.geomspace(1.0, 2e-4, 400)
+    state = posterior.round_state(WallState(joint=joint / joint.sum(), hour=1.0))
+    possible = np.flatnonzero(state.joint)
+    assert 85 < len(possible) <= 100, "whole steps of 20 %, some 9 cells each"
+    assert np.array_equal(possible, np.arange(len(possible)))
+    assert np.array_equal(posterior.unpack_state(posterior.pack_state(state)).joint, state.joint)
+
+
+@pytest.mark.parametrize("packed", [b"", b"other", bz2.compress(b"12345678" + b"\1" * 77)])
 def test_other_bytes_are_no_state(packed):
     with pytest.raises(InvalidInputError, match="are no state of a wall"):
         posterior.unpack_state(packed)
