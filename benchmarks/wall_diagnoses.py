@@ -27,7 +27,7 @@ import numpy as np
 from diagnoses import BASELINE, CASES, CORROSION, HEALTHY, MODELS, RESEAT, diagnose_sets, percent, sets_of
 
 from analysis.diagnosis.diagnose import UNDETERMINED
-from analysis.diagnosis.hypotheses import WALL
+from analysis.diagnosis.hypotheses import COUPLING, SENSOR, WALL
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.wall import posterior
 from analysis.wall.bank import FEATURES, Bank, load_bank
@@ -50,10 +50,10 @@ def shipped() -> tuple[Bank, FloatArray]:
     return bank, posterior.predict_changes(bank)
 
 
-def exceedances(sets: FloatArray, loss: float) -> list[float]:
+def exceedances(sets: FloatArray, causes: list[str], loss: float) -> list[float]:
     """Return the probability of more than a loss after each set since the baseline.
 
-    ``sets`` are ln features from the first set of the baseline.
+    ``sets`` are ln features from the first set of the baseline, ``causes`` the diagnoses after it.
     """
     bank, changes = shipped()
     wall = WallModel(
@@ -65,8 +65,9 @@ def exceedances(sets: FloatArray, loss: float) -> list[float]:
     )
     state, pool = posterior.begin(len(changes), 0.5 * (BASELINE - 1)), Pool()
     found = [0.0]
-    for index in range(BASELINE, len(sets)):
-        state, pool, one = estimate_thickness(wall, state, pool, sets[index], float(index))
+    for index, cause in enumerate(causes, BASELINE):
+        other = cause if cause in (SENSOR, COUPLING) else ""
+        state, pool, one = estimate_thickness(wall, state, pool, sets[index], float(index), other_cause=other)
         new = None if one is None else one.below_minimum_probability
         found.append(found[-1] if new is None else new)
     return found[1:]
@@ -77,7 +78,7 @@ def call_run(case: str, level: str, model: str, seed: int, loss: float, probabil
     logs, confirmations, depths = sets_of(CASES[case], level, model, seed, NAMES)
     of_diagnosis = logs[:, OF_DIAGNOSIS], confirmations[:, OF_DIAGNOSIS]
     causes = diagnose_sets(CASES[case], level, model, seed, *of_diagnosis, depths)["causes"]
-    exceeds = exceedances(shipped()[0].sound + logs[:, OF_POSTERIOR], loss)
+    exceeds = exceedances(shipped()[0].sound + logs[:, OF_POSTERIOR], causes, loss)
     called = {
         "diagnosis": [cause == WALL for cause in causes],
         "posterior": [one >= probability for one in exceeds],

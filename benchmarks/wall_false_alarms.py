@@ -4,9 +4,9 @@
     python benchmarks/wall_false_alarms.py --sensors 10 --levels plant --workers 2 --json
 
 Healthy runs are those of `diagnoses.py`, with a set an hour for a year after the baseline of 200, their
-re-seats included. The recorder's own steps estimate the wall. Printed by level and minimum: alarms by 3 of 5
-steps per transducer-year, next to the budget of the control chart; and how often an interval of 90 % excludes
-the sound wall.
+re-seats included. The recorder's own steps estimate the wall, with the diagnosis of each set. Printed by
+level and minimum: alarms by 3 of 5 steps per transducer-year, next to the budget of the control chart; and
+how often an interval of 90 % excludes the sound wall.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from concurrent.futures import ProcessPoolExecutor
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from diagnoses import BASELINE, HEALTHY, MODELS, RULE, sets_of
-from wall_diagnoses import shipped
+from diagnoses import BASELINE, HEALTHY, MODELS, RULE, diagnose_sets, sets_of
+from wall_diagnoses import NAMES, OF_DIAGNOSIS, OF_POSTERIOR, shipped
 
+from analysis.diagnosis.hypotheses import COUPLING, SENSOR
 from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmState
 from analysis.wall import posterior
-from analysis.wall.bank import FEATURES
 from analysis.wall.calibration import calibrate
 from analysis.wall.thickness import Pool, WallModel, WallThickness, estimate_thickness, update_alarm
 from simulator.parameters.environmental_variability import NUISANCE
@@ -39,7 +39,10 @@ LOSSES = (0.05, 0.1, 0.2)
 def run_sensor(level: str, seed: int) -> dict[str, float]:
     """Return alarms of a sound sensor in a year by minimum, steps, and steps that exclude the sound wall."""
     model, (bank, changes) = list(MODELS)[seed % len(MODELS)], shipped()
-    logs = bank.sound + sets_of(HEALTHY, level, model, seed, FEATURES, YEAR_H)[0]
+    sets = sets_of(HEALTHY, level, model, seed, NAMES, YEAR_H)
+    of_diagnosis = sets[0][:, OF_DIAGNOSIS], sets[1][:, OF_DIAGNOSIS], sets[2]
+    causes = diagnose_sets(HEALTHY, level, model, seed, *of_diagnosis)["causes"]
+    logs = bank.sound + sets[0][:, OF_POSTERIOR]
     hypotheses = posterior.compare(calibrate(bank, logs[:BASELINE]), changes)
     middle_h = 0.5 * (BASELINE - 1)
     wall = WallModel(
@@ -51,8 +54,9 @@ def run_sensor(level: str, seed: int) -> dict[str, float]:
     state, pool = posterior.begin(len(changes), middle_h), Pool()
     alarms = dict.fromkeys(LOSSES, AlarmState())
     found = dict.fromkeys([str(loss) for loss in LOSSES], 0.0) | {"steps": 0.0, "excluded": 0.0, "bad": 0.0}
-    for k in range(BASELINE, len(logs)):
-        state, pool, one = estimate_thickness(wall, state, pool, logs[k], float(k))
+    for k, cause in enumerate(causes, BASELINE):
+        other = cause if cause in (SENSOR, COUPLING) else ""
+        state, pool, one = estimate_thickness(wall, state, pool, logs[k], float(k), other_cause=other)
         if one is None or one.quality == "bad":
             found["bad"] += one is not None
             continue

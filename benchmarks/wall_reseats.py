@@ -32,15 +32,16 @@ from diagnoses import (
     RULE,
     SENSOR_FAULTS,
     Case,
+    diagnose_sets,
     model_slopes,
     reseat_of,
     sets_of,
 )
-from wall_diagnoses import shipped
+from wall_diagnoses import NAMES, OF_DIAGNOSIS, OF_POSTERIOR, shipped
 
+from analysis.diagnosis.hypotheses import COUPLING, SENSOR
 from analysis.statistics.rules import AlarmState
 from analysis.wall import posterior
-from analysis.wall.bank import FEATURES
 from analysis.wall.calibration import calibrate
 from analysis.wall.thickness import Pool, WallModel, estimate_thickness, update_alarm
 from simulator.numerics.arrays import FloatArray
@@ -59,11 +60,16 @@ COLUMNS = ("covered %", "excludes sound %", "upper end", "not explained %", "ala
 def follow(level: str, case: Case, seed: int, times: float) -> list[list[float]]:
     """Return the `COLUMNS` of a run as the recorder has them, and if re-seats are not looked for."""
     model, (bank, changes) = list(MODELS)[seed % len(MODELS)], shipped()
-    sets, _, depths = sets_of(case, level, model, seed, FEATURES, SETS)
+    sets, confirming, depths = sets_of(case, level, model, seed, NAMES, SETS)
     if case.name in RESEATED:
         random, n = np.random.default_rng([seed, 1]), MODELS[model][0].bodies
-        sets[RESEAT_AT:] += times * reseat_of(level, random, n) @ model_slopes(model, FEATURES).of_place
-    logs = bank.sound + sets
+        shift = times * reseat_of(level, random, n) @ model_slopes(model, NAMES).of_place
+        sets[RESEAT_AT:] += shift
+        confirming[RESEAT_AT:] += shift
+    of_diagnosis = sets[:, OF_DIAGNOSIS], confirming[:, OF_DIAGNOSIS]
+    causes = diagnose_sets(case, level, model, seed, *of_diagnosis, depths)["causes"]
+    others = [cause if cause in (SENSOR, COUPLING) else "" for cause in causes]
+    logs = bank.sound + sets[:, OF_POSTERIOR]
     wall = WallModel(
         hypotheses=posterior.compare(calibrate(bank, logs[:BASELINE]), changes),
         curves=posterior.list_curves(bank),
@@ -71,17 +77,17 @@ def follow(level: str, case: Case, seed: int, times: float) -> list[list[float]]
         baseline_h=0.5 * (BASELINE - 1),
         minimum_m=(1.0 - LOSS) * bank.thickness_m,
     )
-    found = [count(wall, logs, depths)]
+    found = [count(wall, logs, depths, others)]
     with patch.object(posterior, "RESEAT_ODDS", NEVER):
-        return [*found, count(wall, logs, depths)]
+        return [*found, count(wall, logs, depths, [""] * SETS)]
 
 
-def count(wall: WallModel, logs: FloatArray, depths: FloatArray) -> list[float]:
+def count(wall: WallModel, logs: FloatArray, depths: FloatArray, others: list[str]) -> list[float]:
     """Return the `COLUMNS` of a run."""
     state, pool, alarm = posterior.begin(len(wall.curves), wall.baseline_h), Pool(), AlarmState()
     rows, refused, alarms = [], 0, 0
-    for k in range(BASELINE, len(logs)):
-        state, pool, one = estimate_thickness(wall, state, pool, logs[k], float(k))
+    for k, other in enumerate(others, BASELINE):
+        state, pool, one = estimate_thickness(wall, state, pool, logs[k], float(k), other_cause=other)
         if one is None or one.quality == "bad":
             refused += one is not None
             continue

@@ -40,8 +40,9 @@ MEMORY_H, MONTHS = (150.0, 2500.0, math.inf), 1.5
 """Correlation times of the slow drift of days (`Calibration.slow`) and of that of months, and the variance of
 the latter in those of a set: healthy sets over a year at three levels of the twin, even seeds. What a re-seat
 of the chain adds stays."""
-RESEAT, RESEAT_ODDS = 4.0, 0.01
-"""Variance that a re-seat of the chain adds, in those of a set, and its prior odds in a step."""
+RESEAT, RESEAT_ODDS, DIAGNOSED_ODDS = 4.0, 0.01, 1.0
+"""Variance that a re-seat of the chain adds, in those of a set; its prior odds in a step, and in one with a
+set that is diagnosed as a change of sensor or coupling."""
 TEMPER = 0.8
 """Exponent of a set's likelihood."""
 FACTORS, SOLID_FACTORS = 3, 15
@@ -244,7 +245,13 @@ def begin(n_hypotheses: int, hour: float) -> WallState:
 
 
 def add_set(
-    state: WallState, hypotheses: Hypotheses, logs: FloatArray, hour: float, exponent: float = TEMPER
+    state: WallState,
+    hypotheses: Hypotheses,
+    logs: FloatArray,
+    hour: float,
+    exponent: float = TEMPER,
+    *,
+    diagnosed: bool = False,
 ) -> WallState:
     """Update a state by the ln features of a set, shape (5,), at an hour of the test.
 
@@ -252,6 +259,8 @@ def add_set(
     ----------
     exponent
         Of the likelihood.
+    diagnosed
+        The set is diagnosed as a change of sensor or coupling.
 
     Raises
     ------
@@ -283,7 +292,7 @@ def add_set(
     power = -0.5 * (calibration.dof + len(FEATURES))
     evidence, density = _compute_evidence(before, squares, variance, power)
     reseated, density_reseated = _compute_evidence(before, squares, variance + RESEAT, power)
-    if density_reseated + math.log(RESEAT_ODDS) > density:
+    if density_reseated + math.log(DIAGNOSED_ODDS if diagnosed else RESEAT_ODDS) > density:
         slow, evidence = slow.reseat(), reseated
     evidence *= np.float32(exponent)
     evidence -= evidence[before > 0.0].max()

@@ -184,7 +184,7 @@ def estimate_thickness(
     Parameters
     ----------
     other_cause
-        Diagnosis of the set, if not the wall: its quality is ``suspect``.
+        Diagnosis of the set, if not the wall: then a re-seat is as likely as none; quality ``suspect``.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def estimate_thickness(
     pool = pool.add(logs, hour)
     if hour - state.hour < STEP_H:
         return state, pool, None
-    after = posterior.add_set(state, model.hypotheses, np.array(pool.mean), hour)
+    after = posterior.add_set(state, model.hypotheses, np.array(pool.mean), hour, diagnosed=bool(other_cause))
     note = f"diagnosed as a change of the {other_cause}" if other_cause else ""
     state = posterior.round_state(after)
     return state, Pool(), describe_state(state, model, note)

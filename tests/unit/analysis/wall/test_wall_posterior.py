@@ -239,6 +239,14 @@ def test_a_shift_of_the_incident_wave_is_a_reseat_and_a_growing_loss_is_none(ban
     expected = before.slow.wait(17.0).reseat().add(white, before.hour + 17.0, hypotheses.calibration.slow)
     assert np.allclose(after.explained, expected.explained)
     assert np.allclose(after.estimate, expected.estimate)
+    assert not add_set(before, hypotheses, SOUND + of_wall, before.hour + 17.0).slow.explained[2, 2]
+    # A smaller one is found where the diagnosis names sensor or coupling.
+    smaller = SOUND + of_wall + 0.7 * (shifted - SOUND - of_wall)
+    found = [
+        add_set(before, hypotheses, smaller, before.hour + 17.0, diagnosed=diagnosed).slow.explained[2, 2]
+        for diagnosed in (False, True)
+    ]
+    assert found[1] < found[0] == 0.0
     # It stays: months later nothing of it is lost.
     assert np.array_equal(after.wait(5000.0).estimate[2], after.estimate[2])
     added = after.compute_variance(0.3)[2, 2] - before.slow.compute_variance(0.3)[2, 2]
