@@ -29,11 +29,9 @@ class Front:
     children
         Numbers of the two fronts that are merged.
     places
-        Positions of their remaining unknowns among the unknowns of this front.
+        Positions of their remaining unknowns in this front, whose first unknowns are the eliminated ones.
     eliminated, remaining
         Unknowns eliminated here, and those left to later fronts.
-    own
-        Places of the eliminated ones, then those of the remaining ones, among all of this front.
     """
 
     cell: int
@@ -41,7 +39,6 @@ class Front:
     places: tuple[IntArray, ...]
     eliminated: IntArray
     remaining: IntArray
-    own: tuple[IntArray, IntArray]
 
 
 def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
@@ -73,14 +70,14 @@ def order_elimination(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Fro
             for place, half in zip(places, halves, strict=True):
                 count[place] += half[2]
         done = count == touched[here]
+        position = np.where(done, np.cumsum(done), done.sum() + np.cumsum(~done)) - 1
         fronts.append(
             Front(
                 cell=int(chosen[0]) if len(chosen) == 1 else -1,
                 children=children,
-                places=places,
+                places=tuple(position[place] for place in places),
                 eliminated=here[done],
                 remaining=here[~done],
-                own=(np.flatnonzero(done), np.flatnonzero(~done)),
             )
         )
         return len(fronts) - 1, here[~done], count[~done]
@@ -120,7 +117,7 @@ class DissectedCholesky:
         return x
 
 
-def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> DissectedCholesky:
+def factorize(fronts: list[Front], cell_matrix: Callable[[int, IntArray], FloatArray]) -> DissectedCholesky:
     """Compute the Cholesky factor of the sum of the cells' matrices, front by front.
 
     Parameters
@@ -128,7 +125,7 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
     fronts
         From `order_elimination`.
     cell_matrix
-        Dense matrix of one cell over its sorted unknowns.
+        Dense matrix of one cell over its unknowns in the given order.
 
     Raises
     ------
@@ -138,38 +135,37 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
     factors = []
     waiting: dict[int, FloatArray] = {}
     for number, front in enumerate(fronts):
+        count, size = len(front.eliminated), len(front.eliminated) + len(front.remaining)
         if front.cell >= 0:
-            matrix = cell_matrix(front.cell)
+            matrix = cell_matrix(front.cell, np.concatenate((front.eliminated, front.remaining)))
         else:
-            size = len(front.eliminated) + len(front.remaining)
             matrix = np.zeros((size, size))
-            for child, place in zip(front.children, front.places, strict=True):
-                matrix[np.ix_(place, place)] += waiting.pop(child)
-        own, below, waiting[number] = _eliminate_unknowns(matrix, *front.own)
+        for child, place in zip(front.children, front.places, strict=True):
+            rows = np.zeros((size, len(place)))
+            rows[place] = waiting.pop(child)
+            matrix[place] += rows.T
+        own, below, waiting[number] = _eliminate_unknowns(matrix, count)
         factors.append((own, below))
     return DissectedCholesky(fronts=fronts, factors=factors)
 
 
-def _eliminate_unknowns(
-    matrix: FloatArray, done: IntArray, rest: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate unknowns; return their Cholesky factor, its continuation below, and the Schur complement.
+def _eliminate_unknowns(matrix: FloatArray, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eliminate the first unknowns; return their Cholesky factor, its continuation, and the Schur complement.
 
-    ``done`` and ``rest`` are the places of eliminated and remaining unknowns. Raise SpecimenError if the
-    matrix is not positive definite.
+    ``count`` is the number of eliminated unknowns. Raise SpecimenError if the matrix is not positive
+    definite.
     """
-    below = np.asfortranarray(matrix[np.ix_(rest, done)])
-    schur = matrix[np.ix_(rest, rest)]
-    if not len(done):
+    below, schur = np.asfortranarray(matrix[count:, :count]), matrix[count:, count:]
+    if not count:
         return np.empty((0, 0)), below, schur
-    own, info = lapack.dpotrf(np.asfortranarray(matrix[np.ix_(done, done)]), lower=1, overwrite_a=1)
+    own, info = lapack.dpotrf(np.asfortranarray(matrix[:count, :count]), lower=1, overwrite_a=1)
     if info != 0:
         raise SpecimenError(
             "the stiffness of the solid plate is not positive definite: elements too thin or a material too "
             "near to incompressible for the digits of the computer; make the patch shallower, "
             "plate.solid.edge_element larger or plate.poisson_ratio smaller"
         )
-    if len(rest):
+    if len(schur):
         below = blas.dtrsm(1.0, own, below, side=1, lower=1, trans_a=1, overwrite_b=1)
         schur = schur - below @ below.T
     return own, below, schur

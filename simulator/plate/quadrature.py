@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -15,8 +16,11 @@ ANGULAR_POINTS = 48
 
 def gauss_rule(count: int, end: float) -> tuple[FloatArray, FloatArray]:
     """Return Gauss-Legendre points and weights on 0 to `end`, shape (count,) each."""
-    points, weights = np.polynomial.legendre.leggauss(count)
+    points, weights = _find_gauss_points(count)
     return 0.5 * end * (points + 1.0), 0.5 * end * weights
+
+
+_find_gauss_points = cache(np.polynomial.legendre.leggauss)
 
 
 def hertz_pressure_points(radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:

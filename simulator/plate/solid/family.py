@@ -29,16 +29,16 @@ from simulator.plate.solid.reduction import (
 )
 
 FAMILY = (
-    (0.004, 60),
-    (0.05, 40),
-    (0.15, 40),
-    (0.3, 40),
-    (0.45, 40),
-    (0.6, 40),
-    (0.72, 40),
-    (0.82, 40),
-    (0.9, 40),
-    (0.95, 60),
+    (0.004, 40),
+    (0.05, 25),
+    (0.15, 25),
+    (0.3, 25),
+    (0.45, 25),
+    (0.6, 25),
+    (0.72, 25),
+    (0.82, 25),
+    (0.9, 25),
+    (0.95, 40),
 )
 """Lost parts of the thickness whose Krylov vectors enter the basis, and how many of each."""
 

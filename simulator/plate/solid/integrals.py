@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -44,9 +45,10 @@ def integrate_over_patch(
     inside = (np.hypot(far_x[:, None], far_y[None, :]) <= half_x * (1.0 + 1e-9)).astype(np.float64)
     touched = (np.hypot(near_x[:, None], near_y[None, :]) < half_x * (1.0 - 1e-9)) & (inside == 0.0)
     cut = {}
+    along_x, along_y = (list(zip(a.breaks_m, a.breaks_m[1:], a.degrees, strict=False)) for a in (x, y))
     for ex, ey in np.argwhere(touched):
         whole = integrate_in_plane(x, y, int(ex), int(ey))
-        lost = _integrate_within_circle(x, y, int(ex), int(ey), half_x)
+        lost = _integrate_within_circle(along_x[ex], along_y[ey], half_x)
         inside[ex, ey] = lost[0].sum() / whole[0].sum()
         cut[int(ex), int(ey)] = tuple(w - (1.0 - VOID) * part for w, part in zip(whole, lost, strict=True))
     return inside, cut
@@ -60,21 +62,24 @@ def integrate_in_plane(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, 
     """
     mass_x, slope_x, stiffness_x = x.interval_matrices(ex)
     mass_y, slope_y, stiffness_y = y.interval_matrices(ey)
-    products = (
-        np.kron(mass_x, mass_y),
-        np.kron(stiffness_x, mass_y),
-        np.kron(mass_x, stiffness_y),
-        np.kron(slope_x, mass_y),
-        np.kron(mass_x, slope_y),
-        np.kron(slope_x, slope_y.T),
-    )
-    return tuple(np.asarray(product, dtype=np.float64) for product in products)
+    along_x = mass_x, stiffness_x, mass_x, slope_x, mass_x, slope_x
+    along_y = mass_y, mass_y, stiffness_y, mass_y, slope_y, slope_y.T
+    products = np.einsum("kij,kmn->kimjn", along_x, along_y)  # Kronecker products
+    return tuple(products.reshape(len(products), len(mass_x) * len(mass_y), -1))
 
 
-def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
-    """Integrate over the part of an element within a circle about the origin; as `integrate_in_plane`."""
-    left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
-    bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
+Interval = tuple[float, float, int]
+"""Start and end in m, and degree."""
+
+
+@lru_cache(maxsize=256)
+def _integrate_within_circle(x: Interval, y: Interval, radius_m: float) -> tuple[FloatArray, ...]:
+    """Integrate over the part of an element within a circle about the origin; as `integrate_in_plane`.
+
+    Cached, because all depths share the elements: callers must not write to the results.
+    """
+    left, right = np.sort(np.abs(x[:2]))
+    bottom, top = np.sort(np.abs(y[:2]))
     crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]
     ends = [left, *sorted(c for c in crossings if left < c < right), right]
     at_x, at_y, weights = [], [], []
@@ -91,12 +96,11 @@ def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float
             at_y.append(bottom + up)
             weights.append(a_weight * up_weight)
     if not weights:
-        nodes = len(x.nodes_of(ex)) * len(y.nodes_of(ey))
+        nodes = (x[2] + 1) * (y[2] + 1)
         return (np.zeros((nodes, nodes)),) * 6
-    sign_x = math.copysign(1.0, x.breaks_m[ex] + x.breaks_m[ex + 1])
-    sign_y = math.copysign(1.0, y.breaks_m[ey] + y.breaks_m[ey + 1])
-    value_x, along_x = _evaluate_shape_functions(x, ex, sign_x * np.concatenate(at_x))
-    value_y, along_y = _evaluate_shape_functions(y, ey, sign_y * np.concatenate(at_y))
+    sign_x, sign_y = (math.copysign(1.0, start + end) for start, end, _ in (x, y))
+    value_x, along_x = _evaluate_shape_functions(x, sign_x * np.concatenate(at_x))
+    value_y, along_y = _evaluate_shape_functions(y, sign_y * np.concatenate(at_y))
     pairs = ((value_x, value_y), (along_x, value_y), (value_x, along_y))
     n, n_x, n_y = ((a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs)
     weight = np.concatenate(weights)[:, None]
@@ -104,10 +108,10 @@ def _integrate_within_circle(x: Axis, y: Axis, ex: int, ey: int, radius_m: float
     return tuple(np.asarray(first.T @ (weight * second)) for first, second in products)
 
 
-def _evaluate_shape_functions(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _evaluate_shape_functions(interval: Interval, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Evaluate an element's shape functions and their slopes per m, (points, degree + 1) each."""
-    start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
-    value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
+    start, end, degree = interval
+    value, slope = lagrange(degree, 2.0 * (at_m - start) / (end - start) - 1.0)
     return value, slope * (2.0 / (end - start))
 
 

@@ -105,6 +105,12 @@ class SolidPlate:
         """Return the number of nodes of z in the upper layer, those on its lower face included."""
         return int(self.z.first[self.upper]) + 1
 
+    @property
+    def modelled(self) -> IntArray:
+        """Return the sorted displacement numbers of all columns and of the load; others mirror them."""
+        columns = [self.find_displacement_numbers(int(ex), int(ey)).ravel() for ex, ey in self.columns]
+        return np.unique(np.concatenate((np.flatnonzero(self.force), *columns)))
+
     def find_displacement_numbers(self, ex: int, ey: int) -> IntArray:
         """Return the displacement numbers of one column of elements.
 

@@ -99,13 +99,16 @@ def _find_column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
     return 0, plate.upper_nodes if plate.inside[ex, ey] == 1.0 else plate.numbers.shape[2]
 
 
-def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
-    """Compute stiffness and mass of one column over its unknowns, times the number of symmetric copies.
+def compute_column_matrix(
+    plate: SolidPlate, column: int, fold: sparse.csr_matrix, stiffness: float, mass: float
+) -> FloatArray:
+    """Compute a sum of stiffness and mass of one column, each with its factor, times its symmetric copies.
 
-    Both have the shape (unknowns, unknowns). ``column`` is a row of ``plate.columns``, ``fold`` its map: see
+    The shape is (unknowns, unknowns). ``column`` is a row of ``plate.columns``, ``fold`` its map: see
     `map_column_unknowns`.
     """
     ex, ey = (int(e) for e in plate.columns[column])
+    stiffness, mass = (factor * plate.repeats[column] for factor in (stiffness, mass))
     kind, nodes = _find_column_kind(plate, ex, ey)
     whole = integrate_in_plane(plate.x, plate.y, ex, ey)
     upper, lower = (
@@ -117,19 +120,18 @@ def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> 
         parts = [(whole, upper), (plate.cut[ex, ey], lower)]
     else:
         parts = [(whole, tuple(a + b for a, b in zip(upper, lower, strict=True)))]
-    stiffness, mass = (np.zeros((fold.shape[1],) * 2) for _ in range(2))
+    in_plane, through = [], []
     for integrals, (through_mass, through_slope, through_stiffness) in parts:
         a, b, c, d = compute_in_plane_elasticity(plate.parameters, integrals)
-        slope = np.kron(c, through_slope)
-        stiffness += np.kron(a, through_mass) + np.kron(b, through_stiffness) + slope + slope.T
-        mass += np.kron(d, through_mass)
-    repeats = float(plate.repeats[column])
-    return repeats * _reduce_matrix(stiffness, fold), repeats * _reduce_matrix(mass, fold)
-
-
-def _reduce_matrix(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
-    """Reduce a symmetric matrix to the unknowns of a column, ``fold matrix fold^T``."""
-    return np.asarray(fold @ np.ascontiguousarray((fold @ matrix).T))
+        a, b, c = stiffness * a + mass * d, stiffness * b, stiffness * c
+        in_plane += [a, b, c, c.T]
+        through += [through_mass, through_stiffness, through_slope, through_slope.T]
+    # The sum of the Kronecker products, in one pass over the result.
+    factors = np.transpose(in_plane, (1, 2, 0))[:, None], np.transpose(through, (1, 0, 2))
+    total = np.matmul(*factors).reshape(fold.shape[1], -1)
+    if fold.nnz == fold.shape[0]:  # each unknown is a displacement
+        return np.asarray(total[np.ix_(fold.indices, fold.indices)])
+    return np.asarray(fold @ np.ascontiguousarray((fold @ total).T))
 
 
 def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
@@ -140,10 +142,11 @@ def make_shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[
     """
     folds = map_column_unknowns(plate)
 
-    def cell(column: int) -> FloatArray:
-        """Compute the shifted matrix of one column of elements."""
-        stiffness, mass = column_matrices(plate, column, folds[column][1])
-        return stiffness + shift_rad_per_s**2 * mass
+    def cell(column: int, order: IntArray) -> FloatArray:
+        """Compute the shifted matrix of one column of elements over its unknowns in an order."""
+        unknowns, fold = folds[column]
+        ordered = fold[np.searchsorted(unknowns, order)]
+        return compute_column_matrix(plate, column, ordered, 1.0, shift_rad_per_s**2)
 
     return factorize(order_elimination(plate.columns, [unknowns for unknowns, _ in folds]), cell).solve
 
@@ -185,7 +188,7 @@ def make_mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
 
 
 def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
-    """Build the load's mass-orthonormal Krylov space as displacements of all nodes, shape (n, vectors).
+    """Build the load's mass-orthonormal Krylov space as displacements `plate.modelled`, shape (n, vectors).
 
     Raise SpecimenError if the shifted stiffness is not positive definite.
     """
@@ -202,7 +205,7 @@ def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
         np.divide(x, norm, out=basis[j])
         np.divide(mass_x, norm, out=mass_basis[j])
         right = mass_basis[j]
-    return np.asarray(plate.lift @ basis.T)
+    return np.asarray(plate.lift[plate.modelled] @ basis.T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -243,19 +246,24 @@ class ProjectedSolid:
 
 
 def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
-    """Project each layer onto `fields` (Galerkin): displacements of all nodes, shape (n, r)."""
+    """Project each layer onto `fields` (Galerkin): displacements `plate.modelled`, shape (n, r)."""
+    modelled = plate.modelled
     count = fields.shape[1]
     stiffness, mass = np.zeros((6, count, count)), np.zeros((2, count, count))
     h = plate.parameters.thickness_m
     upper_m = float(plate.z.breaks_m[plate.upper])
     for column, (ex, ey) in enumerate(plate.columns):
-        field = fields[plate.find_displacement_numbers(ex, ey)]
+        numbers = np.searchsorted(modelled, plate.find_displacement_numbers(ex, ey))
         whole = integrate_in_plane(plate.x, plate.y, ex, ey)
         layers = [(0, whole, upper_m)]
         if plate.upper < len(plate.z.degrees) and plate.inside[ex, ey] < 1.0:
             layers.append((1, plate.cut.get((ex, ey), whole), h - upper_m))
         for layer, integrals, thickness_m in layers:
-            through_mass, through_slope, through_stiffness = plate.layer_matrices(0, upper=layer == 0)
+            nodes = slice(plate.upper_nodes) if layer == 0 else slice(plate.upper_nodes - 1, None)
+            field = fields[numbers[:, :, nodes]]
+            through_mass, through_slope, through_stiffness = (
+                matrix[nodes, nodes] for matrix in plate.layer_matrices(0, upper=layer == 0)
+            )
             a, b, c, d = (
                 plate.repeats[column] * term
                 for term in compute_in_plane_elasticity(plate.parameters, integrals)
@@ -267,7 +275,7 @@ def project_layers(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
             stiffness[3 * layer + 1] += _energy_products(field, b, steep)
             mixed = _energy_products(field, c, _multiply_field(through_slope, field))
             stiffness[3 * layer + 2] += mixed + mixed.T
-    return ProjectedSolid(stiffness=stiffness, mass=mass, load=np.asarray(fields.T @ plate.force))
+    return ProjectedSolid(stiffness=stiffness, mass=mass, load=fields.T @ plate.force[modelled])
 
 
 def _multiply_field(matrix: FloatArray, field: FloatArray) -> FloatArray:

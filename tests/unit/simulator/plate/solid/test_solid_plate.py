@@ -16,7 +16,7 @@ from simulator.plate.solid.integrals import (
 )
 from simulator.plate.solid.plate import UPPER_LINES, build_solid_plate
 from simulator.plate.solid.reduction import (
-    column_matrices,
+    compute_column_matrix,
     make_mass_product,
     make_shifted_solver,
     map_column_unknowns,
@@ -33,9 +33,8 @@ def assembled(plate):
     size = len(plate.load)
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
     for column, (unknowns, fold) in enumerate(map_column_unknowns(plate)):
-        k, m = column_matrices(plate, column, fold)
-        stiffness[np.ix_(unknowns, unknowns)] += k
-        mass[np.ix_(unknowns, unknowns)] += m
+        for total, factors in ((stiffness, (1.0, 0.0)), (mass, (0.0, 1.0))):
+            total[np.ix_(unknowns, unknowns)] += compute_column_matrix(plate, column, fold, *factors)
     return stiffness, mass
 
 
