@@ -159,18 +159,15 @@ class Hypotheses:
     def compute_misfit(self, logs: FloatArray, slow: SlowDrift) -> float:
         """Return the smallest distance from any hypothesis and loss, over the limit of an unchanged sensor.
 
-        That sensor exceeds it at the rate `MISFIT_RATE`; above 1 no wall explains the set, neither with nor
-        without what ``slow`` has estimated, of old and of new losses.
+        That sensor exceeds it at the rate `MISFIT_RATE`; above 1 no wall explains the set, neither alone nor
+        with the offset that ``slow`` has estimated.
         """
         p = len(FEATURES)
         limit = p * float(scipy.special.fdtri(p, self.calibration.dof, 1.0 - MISFIT_RATE))
         nearest = float(self.compute_distances(logs).min())
         if nearest > limit:
-            *offset, share, _ = slow.estimate.sum(axis=0).tolist()
-            rest = (logs - self.calibration.mean) @ self.calibration.whitening - offset
-            along, kept = 2.0 * (self.white @ rest), 1.0 - share
-            walls = np.minimum(self.norm - along, kept * (kept * self.norm - along))
-            nearest = min(nearest, float(walls.min() + rest @ rest))
+            offset = slow.estimate.sum(axis=0)[:p] @ np.linalg.inv(self.calibration.whitening)
+            nearest = min(nearest, float(self.compute_distances(logs - offset).min()))
         return nearest / limit
 
 
