@@ -8,7 +8,7 @@ Noise-free shots of the paper's chain (disk sensor) on its dry Mindlin plate, th
 recorder. A slope is the change of a feature's logarithm by one unit of the source, from a small step to both
 sides; a wall's row is the whole change at that depth. The assessment is tried on other models
 (`benchmarks/diagnoses.py`). The bank of solimon itself is `daq_service/assessment/wall_bank.npz`; it takes
-some 10 minutes of CPU.
+some 6 minutes of CPU.
 """
 
 from __future__ import annotations

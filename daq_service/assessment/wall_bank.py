@@ -344,7 +344,7 @@ def build_bank(
     members: Sequence[Member] | None = None,
     progress: Callable[[int, int, str], None] = lambda done, total, name: None,
 ) -> Bank:
-    """Simulate a bank: about 10 minutes of CPU, in one thread.
+    """Simulate a bank: about 6 minutes of CPU, in one thread.
 
     Parameters
     ----------

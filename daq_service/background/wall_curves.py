@@ -54,7 +54,7 @@ class WallCurves(BackgroundTask):
         self._process = multiprocessing.get_context("spawn").Process(target=build, args=(missing,))
         self._process.daemon = True
         self._process.start()
-        log.info("simulating the wall curves of %d transducers, about 10 min of CPU each", len(missing))
+        log.info("simulating the wall curves of %d transducers, about 6 min of CPU each", len(missing))
 
     def run_for(self, seconds: float) -> None:
         """Report the end of the simulation."""
