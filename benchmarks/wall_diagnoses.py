@@ -6,9 +6,9 @@
 
 Runs are those of `diagnoses.py`, with the features of the posterior, too: a baseline of 200 sets, one an
 hour, then 300 sets. The posterior (`analysis.wall`) has the bank of the shipped configurations, with curves
-of the three models among others. By
-the posterior it is WALL where the loss exceeds `--loss` with a probability of `--probability`, which were
-chosen on seeds 0 to 49. Either is enough, or the posterior counts where the diagnosis is undetermined.
+of the three models among others. By the posterior it is WALL where the loss exceeds `--loss` with a
+probability of `--probability`, which were chosen on seeds 0 to 49. Either is enough, or the posterior counts
+where the diagnosis is undetermined.
 """
 
 from __future__ import annotations

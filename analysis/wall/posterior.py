@@ -3,8 +3,9 @@
 A hypothesis is a curve of the bank, with factors that stay the same for a sensor: how far curves of the twin
 may be off (the discrepancy). For each the filter is exact: the loss never decreases, the rate stays or is
 drawn again. Sets share a slow drift of the sensor, which each hypothesis estimates (`SlowDrift`). What
-curves that fit equally well disagree about widens the result (`AMBIGUITY`), not the likelihood. All constants
-were chosen on even seeds of `benchmarks/wall_thickness.py` and are shown on odd ones (decision 0069).
+curves that fit equally well disagree about widens the result (`AMBIGUITY`), not the likelihood. Constants
+were chosen on even seeds of `benchmarks/wall_thickness.py` and are shown on odd ones (decision 0069), those
+of a re-seat on other sensors (`benchmarks/wall_reseats.py`).
 """
 
 from __future__ import annotations
