@@ -4,9 +4,9 @@
         [--usual]
 
 Waves are the twin's on a steel plate, whole and thinned by up to 45 %, of pressed chains by up to 60 %, in
-records of 10 MHz whose length goes with the wave's width; windows and limits follow from the chain
-(`analysis.waves.transducer`). Faults are
-those of `flags_on_waves.py`, each record the tenth of a set of one wall. A row shows valid clean shots, and
+the record that `solimon design` gives a chain; windows and limits follow from the chain
+(`analysis.waves.transducer`). Faults are those of `flags_on_waves.py`, each record the tenth of a set of one
+wall. A row shows valid clean shots, and
 shots with a fault that are not valid, the worst fault first, all in percent; or why the design is refused.
 The default run takes half a minute; ``--full`` all diameters from 6 to 40 mm, four materials, two plates and
 all faults. ``--usual``: windows of the paper's chain for all.
@@ -25,10 +25,13 @@ import numpy as np
 from analysis.waves.features import ShotFeatures, extract_from_volts
 from analysis.waves.record_reduction import ExtractionSettings
 from analysis.waves.template import compare_with_others, learn_template
-from analysis.waves.transducer import ChainDescription, find_obstacles, settings_of_chain
+from analysis.waves.transducer import find_obstacles, settings_of_chain
 from daq_service.acquisition.shot_features import describe_chain
 from daq_service.cli.offline.design.candidates import make_chain
+from daq_service.cli.offline.design.information import Design as Candidate
+from daq_service.cli.offline.design.information import fit_recorder
 from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import TwinParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
 from simulator.shot.pulse_summary import summarise_pulses
@@ -66,17 +69,17 @@ def design_of(model: ShotModel, thickness_m: float, chain: ChainParameters, *, u
     plate = PlateParameters(thickness_m=thickness_m)
     description = describe_chain(chain)
     settings = settings_of_chain(description)
-    stretch = settings.stretch
-    longer_s = max(0.0, description.tof_widths - ChainDescription().tof_widths) * settings.isw_fwhm_s
-    pretrigger = round(waves.PRETRIGGER * stretch)
-    n = round(waves.SAMPLES * (max(1.0, stretch) if usual else stretch) + 2.0 * longer_s * waves.RATE_HZ)
     own = model.with_chain(chain)
+    summary = summarise_pulses(own.shot())
+    recorder = fit_recorder(
+        Candidate(name="", chain=chain, twin=TwinParameters()), settings, summary.isw_peak_n
+    )
+    pretrigger, n = recorder.adc.pretrigger_samples, recorder.adc.record_samples
     gone = own.shot(through_hole=True)
-    ends_s = gone.time_s[-1] - gone.time_s[gone.force_n.argmax()] + EARLIEST_ISW_S * stretch
+    ends_s = gone.time_s[-1] - gone.time_s[gone.force_n.argmax()] + EARLIEST_ISW_S * settings.stretch
     n = min(n, pretrigger + math.floor(ends_s * waves.RATE_HZ))
     time_s = (np.arange(n) - pretrigger) / waves.RATE_HZ
     zener = compute_reflection(replace(chain, precompression_n=0.0), plate)
-    summary = summarise_pulses(own.shot())
     obstacles = find_obstacles(
         description,
         settings,

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-BANK_VERSION = "1"
+BANK_VERSION = "2"
 """Changes whenever the members or their curves would; then the shipped bank is written again."""
 SHIPPED_BANK: Final = Path(__file__).with_name("wall_bank.npz")
 """Bank of the shipped configurations: `python benchmarks/diagnosis_slopes.py --bank FILE` writes it."""
@@ -210,7 +210,7 @@ def _yield_members(plate: PlateParameters) -> Iterator[Member]:
                 yield make("off_centre", off, f"off center by {x:g} and {y:g} of its size")
             for per_edge in (3, 5):
                 yield make("pits", _divide_into_pits(square, per_edge), f"{per_edge} x {per_edge} pits")
-            yield make("solid", round_patch, on=solid)
+        yield make("solid", round_patch, on=solid)
         yield make("solid", square, on=solid)
     for size, size_y in ((15e-3, 30e-3), (20e-3, 60e-3), (30e-3, 60e-3)):
         oblong = CorrosionParameters(shape="rectangular", size_m=size, size_y_m=size_y)
