@@ -4,12 +4,12 @@
         [--usual]
 
 Waves are the twin's on a steel plate, whole and thinned by up to 45 %, of pressed chains by up to 60 %, in
-the record that `solimon design` gives a chain; windows and limits follow from the chain
-(`analysis.waves.transducer`). Faults are those of `flags_on_waves.py`, each record the tenth of a set of one
-wall. A row shows valid clean shots, and
-shots with a fault that are not valid, the worst fault first, all in percent; or why the design is refused.
-The default run takes half a minute; ``--full`` all diameters from 6 to 40 mm, four materials, two plates and
-all faults. ``--usual``: windows of the paper's chain for all.
+records of 10 MHz whose length goes with the wave's width; windows and limits follow from the chain
+(`analysis.waves.transducer`). A chain whose clean shots are flagged is refused, as by `solimon design`.
+Faults are those of `flags_on_waves.py`, each record the tenth of a set of one wall. A row shows valid clean
+shots, and shots with a fault that are not valid, the worst fault first, all in percent; or why the design is
+refused. The default run takes half a minute; ``--full`` all diameters from 6 to 40 mm, four materials, two
+plates and all faults. ``--usual``: windows of the paper's chain for all.
 """
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ import numpy as np
 from analysis.waves.features import ShotFeatures, extract_from_volts
 from analysis.waves.record_reduction import ExtractionSettings
 from analysis.waves.template import compare_with_others, learn_template
-from analysis.waves.transducer import find_obstacles, settings_of_chain
+from analysis.waves.transducer import ChainDescription, find_obstacles, settings_of_chain
 from daq_service.acquisition.shot_features import describe_chain
 from daq_service.cli.offline.design.candidates import make_chain
-from daq_service.cli.offline.design.information import Design as Candidate
-from daq_service.cli.offline.design.information import fit_recorder
+from daq_service.cli.offline.design.information import FEWEST_VALID, find_flagged
 from simulator.parameters.chain import ChainParameters
-from simulator.parameters.experiment import TwinParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
 from simulator.shot.pulse_summary import summarise_pulses
@@ -42,6 +40,7 @@ DIAMETERS_M = (6e-3, 9.525e-3, 12.7e-3, 19.05e-3, 25.4e-3, 32e-3, 40e-3)
 DEPTHS, DEPTHS_OF_PRESSED = (0.0, 0.15, 0.3, 0.45), (0.0, 0.2, 0.4, 0.6)
 FAULTS = (waves.hole, waves.weak, waves.saturated, waves.second_strike, waves.knock, waves.lost_and_zero)
 OTHERS, OF_A_SET = 9, 5
+SNR_DB, CHECKED = 40.0, 40
 EARLIEST_ISW_S = 35e-6
 
 
@@ -69,17 +68,17 @@ def design_of(model: ShotModel, thickness_m: float, chain: ChainParameters, *, u
     plate = PlateParameters(thickness_m=thickness_m)
     description = describe_chain(chain)
     settings = settings_of_chain(description)
+    stretch = settings.stretch
+    longer_s = max(0.0, description.tof_widths - ChainDescription().tof_widths) * settings.isw_fwhm_s
+    pretrigger = round(waves.PRETRIGGER * stretch)
+    n = round(waves.SAMPLES * (max(1.0, stretch) if usual else stretch) + 2.0 * longer_s * waves.RATE_HZ)
     own = model.with_chain(chain)
-    summary = summarise_pulses(own.shot())
-    recorder = fit_recorder(
-        Candidate(name="", chain=chain, twin=TwinParameters()), settings, summary.isw_peak_n
-    )
-    pretrigger, n = recorder.adc.pretrigger_samples, recorder.adc.record_samples
     gone = own.shot(through_hole=True)
-    ends_s = gone.time_s[-1] - gone.time_s[gone.force_n.argmax()] + EARLIEST_ISW_S * settings.stretch
+    ends_s = gone.time_s[-1] - gone.time_s[gone.force_n.argmax()] + EARLIEST_ISW_S * stretch
     n = min(n, pretrigger + math.floor(ends_s * waves.RATE_HZ))
     time_s = (np.arange(n) - pretrigger) / waves.RATE_HZ
     zener = compute_reflection(replace(chain, precompression_n=0.0), plate)
+    summary = summarise_pulses(own.shot())
     obstacles = find_obstacles(
         description,
         settings,
@@ -94,7 +93,12 @@ def design_of(model: ShotModel, thickness_m: float, chain: ChainParameters, *, u
         wave = waves.sampled(force.time_s, force.force_n - force.preload_n, time_s)
         walls.append((wave, silent, 1e-6 * (summarise_pulses(force).tof_us or math.nan)))
     given = ExtractionSettings() if usual else settings
-    return Design(chain=chain, settings=given, obstacles=obstacles, time_s=time_s, walls=walls)
+    design = Design(chain=chain, settings=given, obstacles=obstacles, time_s=time_s, walls=walls)
+    if not usual and not obstacles:
+        clean = list(shots_of(design, waves.Scene.clean, SNR_DB, CHECKED))
+        flags = [shot.flags for shot in clean if not shot.valid]
+        obstacles += find_flagged(flags, CHECKED, FEWEST_VALID)
+    return design
 
 
 def shots_of(
@@ -145,7 +149,7 @@ def main() -> None:
     )
     parser.add_argument("--full", action="store_true", help="the whole grid")
     parser.add_argument("--records", type=int, default=60, help="of each design and case")
-    parser.add_argument("--snr-db", type=float, default=40.0)
+    parser.add_argument("--snr-db", type=float, default=SNR_DB)
     parser.add_argument("--pink", action="store_true", help="noise as 1/f instead of white")
     parser.add_argument("--precompression-n", type=float, default=0.0)
     parser.add_argument("--usual", action="store_true", help="windows of the paper's chain")
