@@ -22,7 +22,7 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -221,8 +221,13 @@ def diagnose_sets(
     confirmation_logs: FloatArray,
     depths: FloatArray,
     baseline_sets: int = BASELINE,
+    *,
+    find_loss: Callable[[int, str], float] = lambda index, cause: 0.0,
 ) -> dict[str, Any]:
-    """Diagnose the sets of a run, as `diagnose_run`."""
+    """Diagnose the sets of a run, as `diagnose_run`.
+
+    ``find_loss`` returns the probability of a loss after the set of an index, whose diagnosis it is given.
+    """
     design = compute_diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
@@ -232,18 +237,19 @@ def diagnose_sets(
     memory, state = DiagnosisState(), AlarmState()
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
-    causes: list[str] = []
+    causes, lost = list[str](), 0.0
     for index in range(BASELINE, len(logs)):
         memory = add_set(memory, design.mean, logs[index], index)
         state = update_alarm_state(state, bool(beyond[index]), RULE)
-        diagnosis = diagnose_latest_set(memory, design, suspicious=state.active)
+        diagnosis = diagnose_latest_set(memory, design, suspicious=state.active, lost_probability=lost)
         memory = add_diagnosis(memory, diagnosis)
         if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
             memory = add_confirmation_set(memory, design.mean, confirmation_logs[index])
-            diagnosis = diagnose_latest_set(memory, design, suspicious=True)
+            diagnosis = diagnose_latest_set(memory, design, suspicious=True, lost_probability=lost)
             memory = add_diagnosis(memory, diagnosis)
         causes.append(diagnosis.cause)
+        lost = find_loss(index, diagnosis.cause)
         for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
                 first[name] = float(depths[index])

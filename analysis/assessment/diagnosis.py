@@ -79,38 +79,44 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
 
 
 def diagnose_scheduled(
-    memory: DiagnosisState, design: DiagnosisParameters, index: int, values: Values, *, suspicious: bool
+    memory: DiagnosisState,
+    design: DiagnosisParameters,
+    index: int,
+    values: Values,
+    *,
+    suspicious: bool,
+    lost_probability: float = 0.0,
 ) -> tuple[DiagnosisState, Diagnosis | None]:
     """Add a scheduled set to the diagnosis state and diagnose it; return the next state and the diagnosis.
 
-    ``suspicious``: a chart or the k-of-n rule is in alarm. If a feature is missing or not positive, return
+    ``suspicious`` and ``lost_probability`` are those of `diagnose_latest_set`. If a feature is missing or
+    not positive, return the state unchanged and None.
+    """
+    logs = log_features(values)
+    if logs is None:
+        return memory, None
+    memory = add_set(memory, design.mean, logs, index)
+    return _diagnose_newest_set(memory, design, lost_probability, suspicious=suspicious)
+
+
+def diagnose_confirmation(
+    memory: DiagnosisState, design: DiagnosisParameters, values: Values, lost_probability: float = 0.0
+) -> tuple[DiagnosisState, Diagnosis | None]:
+    """Add a confirmation set to the diagnosis state and diagnose it; return next state and diagnosis.
+
+    ``lost_probability`` is that of `diagnose_latest_set`. If a feature is missing or not positive, return
     the state unchanged and None.
     """
     logs = log_features(values)
     if logs is None:
         return memory, None
-    return _diagnose_newest_set(add_set(memory, design.mean, logs, index), design, suspicious=suspicious)
-
-
-def diagnose_confirmation(
-    memory: DiagnosisState, design: DiagnosisParameters, values: Values
-) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Add a confirmation set to the diagnosis state and diagnose it; return next state and diagnosis.
-
-    If a feature is missing or not positive, return the state unchanged and None.
-    """
-    logs = log_features(values)
-    if logs is None:
-        return memory, None
-    return _diagnose_newest_set(add_confirmation_set(memory, design.mean, logs), design, suspicious=True)
+    memory = add_confirmation_set(memory, design.mean, logs)
+    return _diagnose_newest_set(memory, design, lost_probability, suspicious=True)
 
 
 def _diagnose_newest_set(
-    memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
+    memory: DiagnosisState, design: DiagnosisParameters, lost_probability: float, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
-    """Diagnose the latest set in the state; return the state for the next set, and the diagnosis.
-
-    ``suspicious``: a chart or the k-of-n rule is in alarm.
-    """
-    assessment = diagnose_latest_set(memory, design, suspicious=suspicious)
+    """Diagnose the latest set in the state; return the state for the next set, and the diagnosis."""
+    assessment = diagnose_latest_set(memory, design, suspicious=suspicious, lost_probability=lost_probability)
     return add_diagnosis(memory, assessment), assessment

@@ -181,6 +181,11 @@ class State:
     assessed: tuple[AssessedSet, ...] = ()
     wall: WallTrack | None = None
 
+    @property
+    def lost_probability(self) -> float:
+        """Return the probability of a loss of wall, 0 if it is not estimated."""
+        return 0.0 if self.wall is None else self.wall.lost_probability
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAssessment:
@@ -293,7 +298,12 @@ def _add_diagnosis(
         return assessment
     suspicious = suspicious or assessment.memory.alarming
     diagnosis_state, cause = diagnose_scheduled(
-        state.diagnosis_state, parameters, set_of_shots.set_index, set_of_shots.values, suspicious=suspicious
+        state.diagnosis_state,
+        parameters,
+        set_of_shots.set_index,
+        set_of_shots.values,
+        suspicious=suspicious,
+        lost_probability=state.lost_probability,
     )
     if cause is None:
         return replace(assessment, diagnosis_state=diagnosis_state)

@@ -28,6 +28,9 @@ STATED = 0.9
 WALL_STATED = 0.96
 """Of a wall that was not named before, since its alarm stays until the transducer is healthy: where contacts
 move much, tails and re-seats that no design knows make it sure of one too often."""
+WALL_LIKELY, LOST_LIKELY = 0.8, 0.4
+"""Least probability of a new wall change, and of a loss of wall by its own estimate, which together name it:
+at `plant`, even seeds of `benchmarks/wall_diagnoses.py`."""
 FEWEST_AVERAGED = 10
 """Sets: the three averages of one or two are copies of each other."""
 MOST_REMEMBERED = 2000
@@ -67,24 +70,32 @@ class Diagnosis:
 
 
 def diagnose_latest_set(
-    memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
+    memory: DiagnosisState,
+    design: DiagnosisParameters,
+    *,
+    suspicious: bool = False,
+    lost_probability: float = 0.0,
 ) -> Diagnosis:
     """Diagnose the cause of a change since the baseline, after the latest set in the state.
 
-    A cause is named from a probability of 90 %: a new wall change only at 96 % in two consecutive sets, a
-    re-seat only if it came in one step with a recent confirmation set. Otherwise the diagnosis is
-    `UNDETERMINED`; it is `OK` if that is the likeliest and ``suspicious`` is False. Only `OK` replaces a
-    named wall change; after a confirmed re-seat, `OK` is returned as COUPLING.
+    A cause is named from a probability of 90 %: a new wall change only at 96 % in two consecutive sets, or
+    at 80 % with a ``lost_probability`` of 40 %; a re-seat only if it came in one step with a recent
+    confirmation set. Otherwise the diagnosis is `UNDETERMINED`; it is `OK` if that is the likeliest and
+    ``suspicious`` is False. Only `OK` replaces a named wall change; after a confirmed re-seat, `OK` is
+    returned as COUPLING.
 
     Parameters
     ----------
     suspicious
         A chart of this transducer, or its rule of k outliers in n sets, is in alarm.
+    lost_probability
+        Of a loss of wall, by all sets before (`wall.thickness.WallTrack`); 0: not estimated.
     """
     moved = bool(memory.moved)
     probabilities, abrupt = _compute_posterior(memory, design, from_moved=moved)
     likeliest = max(probabilities, key=probabilities.__getitem__)
-    sure = probabilities[likeliest] >= STATED
+    lost = probabilities[WALL] >= WALL_LIKELY and lost_probability >= LOST_LIKELY
+    sure = probabilities[likeliest] >= STATED or lost
     # What grows may be a wall after all, and a step alone be gone with the next strike.
     contact = likeliest == COUPLING and sure and abrupt >= STATED and bool(memory.confirmation)
     # A wall does not heal: nothing but a healthy transducer takes it back.
@@ -92,7 +103,7 @@ def diagnose_latest_set(
     unsure = (likeliest == COUPLING and not contact) or (memory.wall and likeliest != WALL)
     # Of many healthy sets one may look like a wall; two running, a confirmation counting, hardly ever do.
     twice = memory.likely and probabilities[WALL] >= WALL_STATED
-    unsure |= likeliest == WALL and not (memory.wall or twice)
+    unsure |= likeliest == WALL and not (memory.wall or twice or lost)
     if moved and likeliest == OK:
         # As it has been since its contact moved, whatever a chart says that knows nothing of that.
         named = likeliest = COUPLING

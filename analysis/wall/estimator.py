@@ -15,6 +15,7 @@ from analysis.wall import posterior
 from analysis.wall.bank import Bank
 from analysis.wall.calibration import Calibration, calibrate
 from analysis.wall.thickness import (
+    LOST,
     WallModel,
     WallThickness,
     WallTrack,
@@ -122,9 +123,10 @@ class WallEstimator:
             features.due_h,
             other_cause=other_cause,
         )
-        packed = track.packed if after is before else pack(after)
-        alarm = update_alarm(track.alarm, found, self._rule)
-        track = replace(track, packed=packed, pool=pool, alarm=alarm)
+        track = replace(track, pool=pool, alarm=update_alarm(track.alarm, found, self._rule))
+        if after is not before:
+            lost = 0.0 if track.start is not None else posterior.compute_exceedance(after, LOST)
+            track = replace(track, packed=pack(after), lost_probability=lost)
         arrays.last = track, after
         return track, found
 

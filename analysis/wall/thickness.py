@@ -21,6 +21,8 @@ adds to a stored probability would be lost in its rounding, at a high cost of CP
 S_PER_H = 3600.0
 HORIZON = 0.25
 """Time of a forecast, as a fraction of the time since the baseline."""
+LOST = 0.1
+"""Loss of wall whose probability is evidence in the diagnosis, as a fraction."""
 ALARM_PROBABILITY = 0.95
 """Probability of a wall below its minimum at which a set counts for the alarm."""
 
@@ -124,6 +126,8 @@ class WallTrack:
         Loss of each hypothesis at that baseline, shape (h,); None: the wall was sound.
     alarm
         Of the sets with a wall below the minimum.
+    lost_probability
+        Of a loss of more than `LOST` since the first baseline; 0 behind a renewed one.
     """
 
     packed: NDArray[np.uint8]
@@ -131,6 +135,7 @@ class WallTrack:
     pool: Pool = Pool()
     start: FloatArray | None = None
     alarm: AlarmState = AlarmState()  # noqa: RUF009 frozen
+    lost_probability: float = 0.0
 
     def unpack(self) -> posterior.WallState:
         """Return the state of the filter."""

@@ -229,7 +229,7 @@ class SolitaryWaveAssessor:
         if parameters is None or set_of_shots.vector() is None:
             return None
         diagnosis_state, diagnosis = diagnose_confirmation(
-            self.state.diagnosis_state, parameters, set_of_shots.values
+            self.state.diagnosis_state, parameters, set_of_shots.values, self.state.lost_probability
         )
         self.state = replace(self.state, diagnosis_state=diagnosis_state)
         return diagnosis

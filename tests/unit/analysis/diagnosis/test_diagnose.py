@@ -6,7 +6,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from analysis.diagnosis.diagnose import STATED, UNDETERMINED, WALL_STATED, add_diagnosis, diagnose_latest_set
+from analysis.diagnosis.diagnose import (
+    LOST_LIKELY,
+    STATED,
+    UNDETERMINED,
+    WALL_LIKELY,
+    WALL_STATED,
+    add_diagnosis,
+    diagnose_latest_set,
+)
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, compute_diagnosis_parameters, log_features
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DEPTHS, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
@@ -200,6 +208,31 @@ def test_a_first_wall_diagnosis_needs_a_higher_probability():
     assert {diagnose_latest_set(one, design).cause for one in between} == {UNDETERMINED}
     assert {diagnose_latest_set(replace(one, wall=True), design).cause for one in between} == {WALL}
     assert not any(add_diagnosis(one, diagnose_latest_set(one, design)).likely for one in between)
+
+
+def test_a_loss_of_wall_names_a_wall_that_the_diagnosis_only_holds_for_likely():
+    design = compute_diagnosis_parameters(healthy(2)[:BASELINE])
+    course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]
+    looked = [
+        DiagnosisState(
+            n=AFTER, index=BASELINE + AFTER - 1, changes=tuple(map(tuple, (part * course).tolist()))
+        )
+        for part in np.linspace(0.02, 0.06, 100)
+    ]
+    for one in looked:
+        alone, lost, hardly = (
+            diagnose_latest_set(one, design, lost_probability=probability)
+            for probability in (0.0, LOST_LIKELY, LOST_LIKELY - 0.01)
+        )
+        assert alone == hardly
+        assert alone.cause != WALL
+        assert (lost.cause == WALL) == (alone.probabilities[WALL] >= WALL_LIKELY)
+        assert lost.probability == alone.probability
+    assert {diagnose_latest_set(one, design, lost_probability=1.0).cause for one in looked} == {
+        OK,
+        UNDETERMINED,
+        WALL,
+    }
 
 
 def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():

@@ -76,6 +76,8 @@ def test_a_thinning_wall_is_followed_and_its_alarm_raised_below_the_minimum(open
     assert track.alarm.active
     assert found[0].below_minimum_probability < 0.01 < 0.95 < found[-2].below_minimum_probability
     assert found[-2].time_to_minimum_s == 0.0
+    early, _ = follow(make_estimator(opened), baseline, draw_sets(opened[0], losses[:10], 120.0, seed=4))
+    assert early.lost_probability < 0.5 < 0.99 < track.lost_probability
 
 
 def test_a_forecast_covers_the_wall_at_its_hour_and_ends_where_the_minimum_is_reached(opened):
@@ -214,6 +216,7 @@ def test_a_renewed_baseline_keeps_the_loss_reached_so_far(opened):
     later = draw_sets(opened[0], np.linspace(0.3, 0.45, 40), 450.0, seed=10)
     track, after = follow(make_estimator(opened, baseline_id=5, is_first=False), renewed, later, track)
     assert track.baseline_id == 5
+    assert track.lost_probability == 0.0  # a diagnosis is of the change since the baseline
     truth_m = opened[0].thickness_m * (1.0 - np.linspace(0.3, 0.45, 40))
     assert abs(after[0].thickness_m - found[-2].thickness_m) < 0.5e-3
     assert cover(after, truth_m) > 0.85

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.invented_rows import assessment_row
 from support.memory_archive import bits
+from support.memory_line import memory_settings
 
 from analysis.assessment import step as solitary_wave_step
 from analysis.assessment.diagnosis import Origin, diagnose_confirmation, diagnose_scheduled, update_origin
@@ -15,9 +16,11 @@ from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.statistics.rules import AlarmRule, HoleRule
+from analysis.wall.thickness import WallTrack
 from daq_service.alarms.evidence import describe_evidence
+from daq_service.assessment.baseline_lifecycle import get_baseline_range
 from daq_service.assessment.diagnosis_texts import build_diagnosis_details, format_diagnosis
-from daq_service.assessment.solitary_wave import build_change_condition
+from daq_service.assessment.solitary_wave import SolitaryWaveAssessor, build_change_condition
 from daq_service.recording.set_assessor import find_changed_state_rows
 
 LAST, SETS = 59, 100
@@ -99,6 +102,30 @@ def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
         assert texts.message.endswith(texts.action)
         lines = describe_evidence(found.kind, found.evidence)
         assert any(f"{cause.upper()} " in line for line in lines if line.startswith("Probabilities"))
+
+
+def test_a_loss_of_wall_known_from_earlier_sets_names_the_wall_earlier():
+    def state_at_wall(lost_probability):
+        """Return the state before and after the first set that is diagnosed as WALL."""
+        track = WallTrack(packed=np.zeros(1, np.uint8), baseline_id=1, lost_probability=lost_probability)
+        after = State(wall=track)
+        for item in sets(CHANGES[WALL]):
+            before, (after, assessment) = after, assess_next_set(after, item, RULES)
+            if assessment.cause is not None and assessment.cause.cause == WALL:
+                return before, item
+        raise AssertionError("the wall thins")
+
+    before, first = state_at_wall(1.0)
+    alone, last = state_at_wall(0.0)
+    assert first.set_index < last.set_index
+    assert State().lost_probability == 0.0
+    # With a confirmation set, too: alone it is the first one that is sure of a wall.
+    settings = memory_settings()
+    assessor = SolitaryWaveAssessor("B", settings, baseline=get_baseline_range("B", settings, None))
+    alone = replace(alone, diagnosis_state=replace(alone.diagnosis_state, likely=False))
+    for state, cause in ((alone, UNDETERMINED), (replace(alone, wall=before.wall), WALL)):
+        assessor.state = state
+        assert assessor.diagnose_unscheduled(last).cause == cause
 
 
 def origins(causes, n=5):
