@@ -127,7 +127,7 @@ class WallTrack:
     alarm
         Of the sets with a wall below the minimum.
     lost_probability
-        Of a loss of more than `LOST` since the first baseline; 0 behind a renewed one.
+        Of a loss of more than `LOST` since the first baseline; 0 after a renewed one.
     """
 
     packed: NDArray[np.uint8]
