@@ -151,9 +151,12 @@ class Hypotheses:
     white: FloatArray
     norm: FloatArray
 
-    def compute_distances(self, logs: FloatArray) -> FloatArray:
-        """Return the squared distances of a set from each hypothesis and loss, shape (h, 161)."""
-        set_white = (logs - self.calibration.mean) @ self.calibration.whitening
+    def compute_distances(self, logs: FloatArray, offset: FloatArray | float = 0.0) -> FloatArray:
+        """Return the squared distances of a set from each hypothesis and loss, shape (h, 161).
+
+        ``offset``, in whitened units, is taken from the set.
+        """
+        set_white = (logs - self.calibration.mean) @ self.calibration.whitening - offset
         distances = self.norm - 2.0 * (self.white @ set_white) + set_white @ set_white
         return np.asarray(np.maximum(distances, 0.0))
 
@@ -167,8 +170,8 @@ class Hypotheses:
         limit = p * float(scipy.special.fdtri(p, self.calibration.dof, 1.0 - MISFIT_RATE))
         nearest = float(self.compute_distances(logs).min())
         if nearest > limit:
-            offset = slow.estimate.sum(axis=0)[:p] @ np.linalg.inv(self.calibration.whitening)
-            nearest = min(nearest, float(self.compute_distances(logs - offset).min()))
+            offset = slow.estimate.sum(axis=0)[:p]
+            nearest = min(nearest, float(self.compute_distances(logs, offset).min()))
         return nearest / limit
 
 
