@@ -29,8 +29,8 @@ WALL_STATED = 0.96
 """Of a wall that was not named before, since its alarm stays until the transducer is healthy: where contacts
 move much, tails and re-seats that no design knows make it sure of one too often."""
 WALL_LIKELY, LOST_LIKELY = 0.8, 0.4
-"""Least probability of a new wall change, and of a loss of wall by its own estimate, which together name it:
-at `plant`, even seeds of `benchmarks/wall_diagnoses.py`."""
+"""A new wall change is named from the first probability on, if that of a loss of wall is at least the second.
+Chosen at `plant`, on even seeds of `benchmarks/wall_diagnoses.py`."""
 FEWEST_AVERAGED = 10
 """Sets: the three averages of one or two are copies of each other."""
 MOST_REMEMBERED = 2000
