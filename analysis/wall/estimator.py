@@ -148,7 +148,7 @@ class WallEstimator:
         if track is None:
             state = posterior.begin(len(changes), hour)
             track = WallTrack(packed=pack(state), baseline_id=self._baseline_id)
-        elif (n_stored := len((stored := track.unpack()).joint)) != len(changes):
+        elif (n_stored := (stored := track.unpack()).joint.shape[2]) != len(changes):
             raise InvalidInputError(
                 f"the stored wall has {n_stored} hypotheses, those of this version are {len(changes)}: go on "
                 "with the version that began the test, or measure the wall"
