@@ -287,24 +287,23 @@ def add_set(
     if not before.any():  # each is past its curve: the set excludes none of them
         return wait(state, hour)
     rest = (set_white - offset).astype(np.float32)[:, None, None] - hypotheses.white[:, window]
-    square = np.einsum("flh,flh->lh", rest, rest)
+    square, of_white = np.einsum("flh,flh->lh", rest, rest), np.nan_to_num(hypotheses.norm, posinf=0.0)
     # What a hypothesis takes for the slow drift follows from its loss at an earlier hour.
     hours = hour - at / share if share else 0.0
     cells = np.rint(np.minimum(RATES_PER_H * hours / LOSSES[1], len(LOSSES))).astype(int)
-    squares = np.empty_like(before)
+    squares = np.float32(IMPOSSIBLE) * (before == 0.0)
     for passed in set(cells.tolist()):
         earlier = np.maximum(np.arange(window.start, window.stop) - passed, 0)
-        white = np.float32(share) * hypotheses.white[:, earlier]
-        squares[:, cells == passed] = (square + np.einsum("flh,flh->lh", 2.0 * rest + white, white))[:, None]
-    squares += np.float32(IMPOSSIBLE) * (before == 0.0)
-    squares /= np.float32(calibration.dof)
-    power = -0.5 * (calibration.dof + len(FEATURES))
-    evidence, density = _compute_evidence(before, squares, variance, power)
+        # The square of rest + share * white, without an array of that sum: this is most of a set's time.
+        along = np.einsum("flh,flh->lh", rest, hypotheses.white[:, earlier])
+        added = np.float32(2.0 * share) * along + np.float32(share**2) * of_white[earlier]
+        squares[:, cells == passed] += (square + added)[:, None]
+    evidence, density = _compute_evidence(before, squares, variance, calibration.dof)
     log_odds = math.log(DIAGNOSED_ODDS if diagnosed else RESEAT_ODDS)
     # At most, after a re-seat: all probability at the nearest cell. That mostly saves the rest.
     nearest = np.ones(1, dtype=np.float32), squares.min(keepdims=True).ravel()
-    if _compute_evidence(*nearest, variance + RESEAT, power)[1] + log_odds > density:
-        reseated, density_reseated = _compute_evidence(before, squares, variance + RESEAT, power)
+    if _compute_evidence(*nearest, variance + RESEAT, calibration.dof)[1] + log_odds > density:
+        reseated, density_reseated = _compute_evidence(before, squares, variance + RESEAT, calibration.dof)
         if density_reseated + log_odds > density:
             slow, evidence = slow.reseat(), reseated
     evidence *= np.float32(exponent)
@@ -313,19 +312,19 @@ def add_set(
 
 
 def _compute_evidence(
-    before: NDArray[np.float32], squares: NDArray[np.float32], variance: float, power: float
+    before: NDArray[np.float32], squares: NDArray[np.float32], variance: float, dof: float
 ) -> tuple[NDArray[np.float32], float]:
     """Return the ln likelihood of a set by cell, below the largest one, and the ln of the mean likelihood.
 
     The latter but for a constant of all sets.
     """
-    evidence = squares / np.float32(variance)
+    evidence = squares / np.float32(variance * dof)
     evidence += 1.0
     np.log(evidence, out=evidence)
-    evidence *= np.float32(power)
+    evidence *= np.float32(-0.5 * (dof + len(FEATURES)))
     largest = float(evidence.max())
     evidence -= np.float32(largest)
-    mean = float((before * np.exp(evidence)).sum())
+    mean = float(np.vdot(before, np.exp(evidence)))
     return evidence, largest + math.log(mean) - 0.5 * len(FEATURES) * math.log(variance)
 
 
