@@ -129,15 +129,28 @@ class SlowDrift:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WallState:
-    """Joint probability of loss, rate and hypothesis after a set, shape (161, 15, h); sum 1.
+    """Probabilities after a set.
 
-    ``stored``: where it has the digits of a stored one, the losses that are possible, and `_find_grains`.
+    Attributes
+    ----------
+    joint
+        Joint probability of loss, rate and hypothesis, shape (w, 15, h); sum 1.
+    first
+        Index of its first loss on the grid; no other one is possible.
+    grains
+        Its logarithms as they are stored (`_find_grains`), where it has the digits of these.
     """
 
     joint: NDArray[np.float32]
     hour: float
+    first: int = 0
     slow: SlowDrift = field(default_factory=SlowDrift)
-    stored: tuple[slice, NDArray[np.uint8]] | None = None
+    grains: NDArray[np.uint8] | None = None
+
+    @property
+    def window(self) -> slice:
+        """Return the place of ``joint`` on the grid of the loss."""
+        return slice(self.first, self.first + len(self.joint))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -247,9 +260,8 @@ def compare(calibration: Calibration, changes: FloatArray) -> Hypotheses:
 
 def begin(n_hypotheses: int, hour: float) -> WallState:
     """Return the state at the end of a baseline: no loss, all hypotheses equally likely."""
-    joint = np.zeros((len(LOSSES), len(RATES_PER_H), n_hypotheses), dtype=np.float32)
-    joint[0] = _RATE_PRIOR[:, None] / n_hypotheses
-    return WallState(joint=joint, hour=hour)
+    joint = np.tile(_RATE_PRIOR[None, :, None] / n_hypotheses, n_hypotheses)
+    return WallState(joint=joint.astype(np.float32), hour=hour)
 
 
 def add_set(
@@ -277,23 +289,24 @@ def add_set(
     """
     if not np.isfinite(logs).all():
         raise InvalidInputError(f"ln features {logs.tolist()} of the set at hour {hour:g}: each is needed")
-    window, moved = _move_on(state, hour)
+    before = _move_on(state, hour)
+    losses = np.arange(state.first, state.first + len(before))
     calibration, slow = hypotheses.calibration, state.slow.wait(hour - state.hour)
     set_white = (logs - calibration.mean) @ calibration.whitening
     # Variance of the set about its prediction.
     variance = slow.compute_variance(calibration.slow).sum() + 1.0 - calibration.slow
     *offset, share, at = slow.estimate.sum(axis=0).tolist()
-    before = moved * np.isfinite(hypotheses.norm[window])[:, None]
+    before *= np.isfinite(hypotheses.norm[losses])[:, None]
     if not before.any():  # each is past its curve: the set excludes none of them
         return wait(state, hour)
-    rest = (set_white - offset).astype(np.float32)[:, None, None] - hypotheses.white[:, window]
+    rest = (set_white - offset).astype(np.float32)[:, None, None] - hypotheses.white[:, losses]
     square, of_white = np.einsum("flh,flh->lh", rest, rest), np.nan_to_num(hypotheses.norm, posinf=0.0)
     # What a hypothesis takes for the slow drift follows from its loss at an earlier hour.
     hours = hour - at / share if share else 0.0
     cells = np.rint(np.minimum(RATES_PER_H * hours / LOSSES[1], len(LOSSES))).astype(int)
     squares = np.float32(IMPOSSIBLE) * (before == 0.0)
     for passed in set(cells.tolist()):
-        earlier = np.maximum(np.arange(window.start, window.stop) - passed, 0)
+        earlier = np.maximum(losses - passed, 0)
         # The square of rest + share * white, without an array of that sum: this is most of a set's time.
         along = np.einsum("flh,flh->lh", rest, hypotheses.white[:, earlier])
         added = np.float32(2.0 * share) * along + np.float32(share**2) * of_white[earlier]
@@ -307,8 +320,8 @@ def add_set(
         if density_reseated + log_odds > density:
             slow, evidence = slow.reseat(), reseated
     evidence *= np.float32(exponent)
-    moved = before * np.exp(evidence, out=evidence)
-    return _keep(state, window, moved, hour, slow.add(set_white, hour, calibration.slow))
+    before *= np.exp(evidence, out=evidence)
+    return _keep(state.first, before, hour, slow.add(set_white, hour, calibration.slow))
 
 
 def _compute_evidence(
@@ -330,7 +343,7 @@ def _compute_evidence(
 
 def wait(state: WallState, hour: float) -> WallState:
     """Return the state at a later hour without a set; raise InvalidInputError for an earlier one."""
-    return _keep(state, *_move_on(state, hour), hour, state.slow.wait(hour - state.hour))
+    return _keep(state.first, _move_on(state, hour), hour, state.slow.wait(hour - state.hour))
 
 
 def estimate_loss(state: WallState, ambiguity: float = AMBIGUITY) -> Quantiles:
@@ -400,18 +413,17 @@ def compute_exceedance(state: WallState, loss: float) -> float:
 
 def round_state(state: WallState) -> WallState:
     """Return the state with the digits that it has when it was stored and read."""
-    window, grains = _find_grains(state)
-    joint = np.zeros_like(state.joint)
-    joint[window] = _to_probabilities(grains)
-    return replace(state, joint=joint, stored=(window, grains))
+    first, grains = _find_grains(state)
+    return replace(state, joint=_to_probabilities(grains), first=first, grains=grains)
 
 
 def pack_state(state: WallState) -> bytes:
     """Return a state in some ten to 200 kB; `unpack_state` returns the same bytes' state exactly."""
-    (window, grains), slow = state.stored or _find_grains(state), state.slow
+    first, grains = _find_grains(state) if state.grains is None else (state.first, state.grains)
+    slow = state.slow
     steps = np.diff(grains, axis=0, prepend=np.uint8(0))  # neighbors are alike: that packs better
     parts = [*slow.estimate.ravel().tolist(), *slow.explained.ravel().tolist()]
-    head = np.array([state.joint.shape[2], window.start, window.stop, state.hour, *parts])
+    head = np.array([state.joint.shape[2], first, first + len(grains), state.hour, *parts])
     possible = grains > 0
     content = head.tobytes() + np.packbits(possible).tobytes() + steps[possible].tobytes()
     return zlib.compress(content, 4)  # bz2 takes 5 times as long for 10 % less
@@ -434,43 +446,37 @@ def unpack_state(packed: bytes) -> WallState:
         estimate=np.array(parts[: -(PARTS**2)]).reshape(PARTS, -1),
         explained=np.array(parts[-(PARTS**2) :]).reshape(PARTS, PARTS),
     )
-    joint = np.zeros((len(LOSSES), len(RATES_PER_H), int(n)), dtype=np.float32)
-    window = slice(int(first), int(last))
-    joint[window] = _to_probabilities(grains)
-    return WallState(joint=joint, hour=hour, slow=slow, stored=(window, grains))
+    return WallState(joint=_to_probabilities(grains), hour=hour, first=int(first), slow=slow, grains=grains)
 
 
 def _find_window(of_loss: NDArray[np.generic]) -> slice:
-    """Return the losses that are possible, with all in between."""
+    """Return the place of those that are not 0, with all in between."""
     possible = np.flatnonzero(of_loss)
     return slice(int(possible[0]), int(possible[-1]) + 1)
 
 
-def _move_on(state: WallState, hour: float) -> tuple[slice, NDArray[np.float32]]:
+def _move_on(state: WallState, hour: float) -> NDArray[np.float32]:
     """Return the joint probability at a later hour: each rate moves its losses; then the rate may change.
 
-    Only the losses that are possible then are returned, with their place on the grid.
+    Its first loss is that of the state.
     """
     if hour < state.hour:
         raise InvalidInputError(f"a set at hour {hour:g} cannot follow hour {state.hour:g}: sort by time")
     n, hours = len(LOSSES), hour - state.hour
     per_cell_h = hours / float(LOSSES[1])
-    possible = _find_window(_sum_by_loss(state))
-    farthest = possible.stop + 1 + int(min(RATES_PER_H[-1] * per_cell_h, n))
-    window = slice(possible.start, min(farthest, n))
-    joint = state.joint[window]
-    moved, size = np.zeros_like(joint), len(joint)
+    farthest = len(state.joint) + 1 + int(min(RATES_PER_H[-1] * per_cell_h, n))
+    size = min(farthest, n - state.first)
+    moved = np.zeros((size, *state.joint.shape[1:]), dtype=np.float32)
     for index, rate in enumerate(RATES_PER_H.tolist()):
         cells = min(rate * per_cell_h, n - 1.0)
         whole, part = int(cells), np.float32(cells % 1.0)
-        before, after = joint[:, index], moved[:, index]
-        left = max(size - whole, 0)
-        after[whole:] += (1 - part) * before[:left]
-        after[whole + 1 :] += part * before[: max(left - 1, 0)]
-        after[-1] += before[left:].sum(axis=0)  # past the grid's end
-        if left:
-            after[-1] += part * before[left - 1]
-    return window, np.asarray(_compute_rate_change(hours).T.astype(np.float32) @ moved)
+        before, after = state.joint[:, index], moved[:, index]
+        for shift, weight in ((whole, 1 - part), (whole + 1, part)):
+            kept = min(max(size - shift, 0), len(before))
+            after[shift : shift + kept] += weight * before[:kept]
+            if kept < len(before):  # past the grid's end
+                after[-1] += weight * before[kept:].sum(axis=0)
+    return np.asarray(_compute_rate_change(hours).T.astype(np.float32) @ moved)
 
 
 def _compute_rate_change(hours: float) -> FloatArray:
@@ -479,15 +485,13 @@ def _compute_rate_change(hours: float) -> FloatArray:
     return np.asarray((1.0 - part) * np.eye(len(RATES_PER_H)) + part * _RATE_CHANGE)
 
 
-def _keep(
-    state: WallState, window: slice, moved: NDArray[np.float32], hour: float, slow: SlowDrift
-) -> WallState:
+def _keep(first: int, moved: NDArray[np.float32], hour: float, slow: SlowDrift) -> WallState:
     """Return the state with these probabilities; those below `LEAST` of the largest are left out."""
-    joint = np.zeros_like(state.joint)
     moved *= moved >= LEAST * moved.max()
-    moved /= moved.sum()
-    joint[window] = moved
-    return WallState(joint=joint, hour=hour, slow=slow)
+    of_loss = moved.sum(axis=(1, 2))
+    moved /= of_loss.sum()
+    window = _find_window(of_loss)
+    return WallState(joint=moved[window], hour=hour, first=first + window.start, slow=slow)
 
 
 def _sum_by_loss(state: WallState) -> FloatArray:
@@ -498,18 +502,18 @@ def _sum_by_loss(state: WallState) -> FloatArray:
 @lru_cache(maxsize=1)
 def _sum_by_cell(state: WallState) -> FloatArray:
     """Return the probability of each loss and rate, shape (161, 15)."""
-    return np.asarray(state.joint.sum(axis=2), dtype=np.float64)
+    of_grid = np.zeros((len(LOSSES), len(RATES_PER_H)))
+    of_grid[state.window] = state.joint.sum(axis=2)
+    return of_grid
 
 
-def _find_grains(state: WallState) -> tuple[slice, NDArray[np.uint8]]:
-    """Return the losses that are possible and the logarithms of the probabilities in them.
+def _find_grains(state: WallState) -> tuple[int, NDArray[np.uint8]]:
+    """Return the index of the first possible loss and the logarithms of the probabilities from there on.
 
     These are in `GRAINS` steps below the largest; 0: less than `LEAST`.
     """
-    window = _find_window(_sum_by_loss(state))
-    joint = state.joint[window]
     with np.errstate(divide="ignore"):
-        steps = np.log(joint / joint.max())
+        steps = np.log(state.joint / state.joint.max())
     # Half a step below `LEAST` still is the last one: probabilities that were read give the same steps.
     steps *= np.float32((GRAINS - 1) / -math.log(LEAST))
     steps += np.float32(GRAINS + 0.5)
@@ -517,8 +521,8 @@ def _find_grains(state: WallState) -> tuple[slice, NDArray[np.uint8]]:
     if np.count_nonzero(grains) > MOST_CELLS:
         from_largest = np.cumsum(np.bincount(grains.ravel(), minlength=GRAINS + 1)[:0:-1])
         grains *= grains > GRAINS - np.searchsorted(from_largest, MOST_CELLS, side="right")
-    inner = _find_window(grains.any(axis=(1, 2)))
-    return slice(window.start + inner.start, window.start + inner.stop), grains[inner]
+    window = _find_window(grains.any(axis=(1, 2)))
+    return state.first + window.start, grains[window]
 
 
 def _to_probabilities(grains: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -155,11 +155,11 @@ def to_logs(values: Mapping[str, float | None]) -> FloatArray:
 
 def find_start(state: posterior.WallState) -> FloatArray:
     """Return the mean loss of each hypothesis, shape (h,): where a new baseline of this wall begins."""
-    of_loss = state.joint.sum(axis=1, dtype=np.float64)
+    of_loss, grid = state.joint.sum(axis=1, dtype=np.float64), posterior.LOSSES[state.window]
     total = of_loss.sum(axis=0)
-    overall = float(posterior.LOSSES @ of_loss.sum(axis=1))
+    overall = float(grid @ of_loss.sum(axis=1))
     losses = np.full(len(total), overall)
-    np.divide(posterior.LOSSES @ of_loss, total, out=losses, where=total > 0.0)
+    np.divide(grid @ of_loss, total, out=losses, where=total > 0.0)
     return losses
 
 

@@ -106,15 +106,17 @@ def test_a_packed_state_is_read_with_its_digits_and_near_the_one_packed(bank, ch
     assert posterior.pack_state(read) == packed
     assert np.array_equal(posterior.unpack_state(posterior.pack_state(read)).joint, read.joint)
     assert read.joint.sum() == pytest.approx(1.0, abs=1e-5)
+    assert read.window == state.window
     assert np.array_equal(read.joint > 0.0, state.joint > 0.0)
     assert np.allclose(read.joint, state.joint, rtol=0.2)  # steps of 20 %
 
 
 def test_a_stored_state_has_no_probability_where_there_was_none():
     state = state_of([(0.1, 1e-3, 0.999), (0.2, 1e-3, 1e-3), (0.3, 1e-3, 1e-6)])
-    kept = posterior.unpack_state(posterior.pack_state(state)).joint
-    assert np.count_nonzero(kept) == 2, "but for the one below the least"
-    assert kept[40].max() == pytest.approx(1e-3, rel=0.2)  # steps of 20 %
+    kept = posterior.unpack_state(posterior.pack_state(state))
+    assert np.count_nonzero(kept.joint) == 2, "but for the one below the least"
+    assert kept.window == slice(20, 41)
+    assert kept.joint[-1].max() == pytest.approx(1e-3, rel=0.2)  # steps of 20 %
 
 
 def test_losses_with_others_between_them_that_have_no_probability_are_packed_exactly():
@@ -222,7 +224,7 @@ def test_the_slow_drift_follows_from_the_loss_that_a_rate_had_before(bank, chang
         variance = 1.0 - 0.1
         distance = rest @ rest / (variance * calibration.dof)
         evidence.append(-0.5 * (calibration.dof + 5) * np.log1p(distance))
-    found = after.joint[40, 8, 0] / after.joint[40, 0, 0]
+    found = after.joint[40 - after.first, 8, 0] / after.joint[40 - after.first, 0, 0]
     assert then < 0.18
     assert found == pytest.approx(np.exp(evidence[1] - evidence[0]), rel=1e-3)
 
@@ -374,7 +376,7 @@ def test_the_probability_of_a_limit_counts_the_losses_above_it():
 
 def test_a_rate_stays_moves_to_its_neighbors_or_is_drawn_again():
     at_rest, in_the_middle, at_the_end = (
-        posterior._move_on(state_of([(0.1, rate, 1.0)], hour=0.0), posterior.CHANGE_H)[1]
+        posterior._move_on(state_of([(0.1, rate, 1.0)], hour=0.0), posterior.CHANGE_H)
         for rate in (0.0, RATES_PER_H[4], RATES_PER_H[-1])
     )
     redrawn, one = posterior.REDRAWN * posterior._RATE_PRIOR, np.eye(len(RATES_PER_H))
@@ -392,9 +394,9 @@ def test_a_rate_stays_moves_to_its_neighbors_or_is_drawn_again():
 def test_rates_move_losses_exactly_and_probability_stays_one():
     state = state_of([(0.1, 1e-3, 1.0)])
     rate = RATES_PER_H[np.abs(RATES_PER_H - 1e-3).argmin()]
-    moved = wait(state, 140.0).joint
-    assert moved.sum() == pytest.approx(1.0, rel=1e-6)
-    mean = (moved.sum(axis=(1, 2)) * LOSSES).sum()
+    moved = wait(state, 140.0)
+    assert moved.joint.sum() == pytest.approx(1.0, rel=1e-6)
+    mean = (moved.joint.sum(axis=(1, 2)) * LOSSES[moved.window]).sum()
     assert mean == pytest.approx(0.1 + 40.0 * rate, rel=1e-5)
     assert wait(state, 1e6).joint[-1].sum() == pytest.approx(1.0, rel=1e-5)
 
@@ -433,7 +435,8 @@ def test_truths_drawn_from_the_prior_have_uniform_ranks(bank, monkeypatch):
             t /= np.sqrt(random.chisquare(calibration.dof) / calibration.dof)
             logs = calibration.mean + changes[hypothesis, cell] + t @ color
             state = add_set(state, hypotheses, logs, hour, exponent=1.0)
-        of_loss = state.joint.sum(axis=(1, 2), dtype=float)
+        of_loss = np.zeros(len(LOSSES))
+        of_loss[state.window] = state.joint.sum(axis=(1, 2), dtype=float)
         ranks.append(of_loss[:cell].sum() + random.random() * of_loss[cell])
     counts, _ = np.histogram(ranks, bins=10, range=(0.0, 1.0))
     assert stats.chisquare(counts).pvalue > 0.01, counts
