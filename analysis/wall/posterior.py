@@ -176,8 +176,10 @@ class Hypotheses:
         ``offset``, in whitened units, is taken from the set.
         """
         set_white = (logs - self.calibration.mean) @ self.calibration.whitening - offset
-        along = np.tensordot((2.0 * set_white).astype(np.float32), self.white, 1)
-        return np.asarray(np.maximum(self.norm - along + np.float32(set_white @ set_white), 0.0))
+        distances = np.tensordot((-2.0 * set_white).astype(np.float32), self.white, 1)
+        distances += self.norm
+        distances += np.float32(set_white @ set_white)
+        return np.asarray(np.maximum(distances, 0.0, out=distances))
 
     def compute_misfit(self, logs: FloatArray, slow: SlowDrift) -> float:
         """Return the smallest distance from any hypothesis and loss, over the limit of an unchanged sensor.
