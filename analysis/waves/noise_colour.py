@@ -140,9 +140,12 @@ def measure_wandering_noise(record: ReducedRecord, block_noise_v: float) -> tupl
     second is 0.5 for white noise, 1 for pink noise.
     """
     white_v = block_noise_v / math.sqrt(record.smooth_blocks)
-    fine2, mid2, coarse2 = (estimate_fine_noise(_average_blocks(record.blocks_v, n)) ** 2 for n in (1, 2, 4))
+    fine2, mid2 = (estimate_fine_noise(_average_blocks(record.blocks_v, n)) ** 2 for n in (1, 2))
     low, high = RED_GROWTH
-    if not (low * fine2 <= mid2 <= high * fine2 and coarse2 >= low * mid2 > 0.0):
+    if not low * fine2 <= mid2 <= high * fine2:
+        return white_v, 0.5
+    coarse2 = estimate_fine_noise(_average_blocks(record.blocks_v, 4)) ** 2
+    if not coarse2 >= low * mid2 > 0.0:
         return white_v, 0.5
     growth = min(1.0, math.sqrt(coarse2 / fine2))
     first2 = coarse2 * growth ** math.log2(record.smooth_blocks / 4)
