@@ -270,6 +270,24 @@ def test_a_set_at_an_offset_that_is_estimated_is_explained(bank, changes):
     assert hypotheses.compute_misfit(other_way, slow) > 1.0
 
 
+def test_a_set_is_explained_by_a_loss_between_the_few_that_are_tried_first(bank, changes):
+    hypotheses = compare(calibrate(bank, draw_sets(11, [])[0]), 40.0 * changes[:1])
+    logs = hypotheses.calibration.mean + 40.0 * changes[0, posterior.FEW // 2]
+    assert hypotheses.compute_distances(logs, step=posterior.FEW).min() > 100.0
+    offset = np.array([0.0, 0.0, 0.0, 30.0, 0.0])
+    slow = posterior.SlowDrift().reseat().add(offset, 0.0, hypotheses.calibration.slow)
+    assert hypotheses.compute_misfit(logs, slow) < 1e-3
+
+
+def test_a_set_far_from_all_losses_that_are_possible_leaves_them_so(bank, changes):
+    """Likelihoods are over the largest of a possible loss: over that of any they would all be 0."""
+    hypotheses = compare(calibrate(bank, draw_sets(11, [])[0]), 40.0 * changes[:1])
+    before = state_of([(0.0, 0.0, 0.5), (0.8, 0.0, 0.5)])
+    after = add_set(before, hypotheses, hypotheses.calibration.mean + 40.0 * changes[0, 80], 100.0)
+    assert after.joint.sum() == pytest.approx(1.0, rel=1e-6)
+    assert np.flatnonzero(posterior._sum_by_loss(after)).tolist() in ([0], [160], [0, 160])
+
+
 def test_a_shift_that_stays_is_less_of_a_loss_than_one_that_grows(bank, changes):
     """A shift by 6 % of loss could be the slow drift; when it grows with time, the wall is more likely."""
     constant, growing = (
