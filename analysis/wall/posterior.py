@@ -76,7 +76,7 @@ GRAINS = 51
 """Steps of the logarithm in which a stored state keeps probabilities: 20 % each."""
 PARTS = len(MEMORY_H)
 """Of the slow drift."""
-MOST_CELLS = 450_000
+MOST_CELLS = 420_000
 """Cells of a stored state, the most probable ones: some 180 kB."""
 HEAD = 4 + PARTS * (len(FEATURES) + 2) + PARTS**2
 """Numbers before the probabilities in a stored state."""
