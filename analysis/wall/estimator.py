@@ -44,7 +44,7 @@ class Features(Protocol):
 
 
 MOST_KEPT = 32
-"""Transducers whose arrays, some 12 MB each, are kept from set to set: a thousand would take 12 GB."""
+"""Transducers whose arrays, up to 12 MB each, are kept from set to set: a thousand would take 12 GB."""
 
 OpenBank = Callable[[], tuple[Bank, FloatArray] | None]
 """Returns a bank and its changes by hypothesis (`posterior.predict_changes`); None: it is not built yet."""

@@ -81,7 +81,7 @@ MOST_CELLS = 420_000
 HEAD = 4 + PARTS * (len(FEATURES) + 2) + PARTS**2
 """Numbers before the probabilities in a stored state."""
 FEW = 10
-"""Of so many losses one is enough to explain most sets, at a tenth of the time."""
+"""One loss in so many is enough to explain most sets, at a sixth of the time."""
 MISFIT_RATE = 1e-4
 """Rate at which a set of an unchanged sensor is taken for one that no hypothesis explains."""
 
@@ -140,7 +140,7 @@ class WallState:
     first
         Index of its first loss on the grid; no other one is possible.
     grains
-        Its logarithms as they are stored (`_find_grains`), where it has the digits of these.
+        Logarithms of ``joint`` as they are stored (`_find_grains`); None: it is not rounded to these.
     """
 
     joint: NDArray[np.float32]
@@ -237,7 +237,7 @@ def predict_changes(
     shift[..., AR] = ratio_sd * normal[:, -1:] * LOSSES / 0.5
     draws = zip(curves, _count_draws(bank), strict=True)
     changes = np.concatenate([curve * factors[:n] + shift[:n] for curve, n in draws])
-    return np.asfortranarray(changes)  # `compare` takes a quarter of the time
+    return np.asfortranarray(changes)  # `compare` takes 40 % of the time
 
 
 def _count_draws(bank: Bank) -> list[int]:
@@ -315,7 +315,7 @@ def add_set(
     squares = np.float32(IMPOSSIBLE) * (before == 0.0)
     for passed in set(cells.tolist()):
         earlier = np.maximum(losses - passed, 0)
-        # The square of rest + share * white, without an array of that sum: this is most of a set's time.
+        # The square of rest + share * white, without an array of that sum.
         along = np.einsum("flh,flh->lh", rest, hypotheses.white[:, earlier])
         added = np.float32(2.0 * share) * along + np.float32(share**2) * of_white[earlier]
         squares[:, cells == passed] += (square + added)[:, None]
@@ -555,7 +555,6 @@ def _take_quantiles(ordered: FloatArray, weights: FloatArray) -> Quantiles:
     return Quantiles(low=low, median=median, high=high)
 
 
-_ALL_RATES = np.ones(len(RATES_PER_H), dtype=np.float32)
 _RATE_PRIOR = RATES_PER_H**TILT
 _RATE_PRIOR *= (1.0 - STILL) / _RATE_PRIOR.sum()
 _RATE_PRIOR[0] = STILL

@@ -24,7 +24,7 @@ FeaturesOf = Callable[[Shot], ShotFeatures]
 SettingsByPosition = Mapping[str, ExtractionSettings]
 """A position that is missing has the paper's chain."""
 PAPER_CHAINS: SettingsByPosition = {}
-OF_PAPER = ExtractionSettings()
+PAPER_SETTINGS = ExtractionSettings()
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ def _extract_together(
 ) -> list[ShotFeatures]:
     """Extract the features of waveforms from several positions, in their order; RecordError if one fails."""
     found: dict[int, ShotFeatures] = {}
-    of_each = [by_position.get(position, OF_PAPER) for position in positions]
+    of_each = [by_position.get(position, PAPER_SETTINGS) for position in positions]
     for settings in dict.fromkeys(of_each):
         numbers = [k for k, own in enumerate(of_each) if own == settings]
         found |= zip(numbers, extract_all([waveforms[k] for k in numbers], settings), strict=True)
@@ -105,7 +105,7 @@ def extract_shot_features(shot: Shot, by_position: SettingsByPosition = PAPER_CH
     if isinstance(shot.waveform, AnalysedWaveform):
         return shot.waveform.features
     try:
-        return extract_features(shot.waveform, by_position.get(shot.key.position, OF_PAPER))
+        return extract_features(shot.waveform, by_position.get(shot.key.position, PAPER_SETTINGS))
     except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
         log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
         return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
